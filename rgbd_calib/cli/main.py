@@ -1,0 +1,91 @@
+"""The command `rgbd-calib`: one subcommand a module, imported when it is asked for."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import click
+
+from rgbd_calib.errors import RgbdCalibError
+
+COMMANDS = (
+    "devices",
+    "capture",
+    "import",
+    "doctor",
+    "simulate",
+    "detect",
+    "intrinsics",
+    "depth-bias",
+    "calibrate",
+    "refine",
+    "evaluate",
+    "verify",
+    "report",
+    "view",
+    "fuse",
+    "correct",
+    "export",
+    "board",
+    "schema",
+)
+"""In the order of the work. Command `a-b` is `command` in module `rgbd_calib.cli.a_b` (`import_` for `import`)."""
+
+
+class _Commands(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in COMMANDS:
+            return None
+        module = "import_" if name == "import" else name.replace("-", "_")
+        command: click.Command = importlib.import_module(f"rgbd_calib.cli.{module}").command
+        return command
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in COMMANDS:
+            from difflib import get_close_matches
+
+            near = get_close_matches(args[0], COMMANDS, 1)
+            ctx.fail(f"no command '{args[0]}'" + (f"; did you mean '{near[0]}'?" if near else "; see rgbd-calib --help"))
+        return super().resolve_command(ctx, args)
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(package_name="rgbd-calib")
+def cli() -> None:
+    """Calibrate a rig of RGB-D cameras: poses, intrinsics and depth bias, with the error in millimetres.
+
+    \b
+    A rig in five commands:
+      rgbd-calib capture rig1/intrinsic --intrinsic      # each camera alone, the board close
+      rgbd-calib capture rig1/depth_bias --depth-bias    # a wall at known distances
+      rgbd-calib capture rig1/extrinsic                  # the board between the cameras
+      rgbd-calib calibrate rig1/extrinsic --intrinsics rig1/intrinsic --depth-bias rig1/depth_bias -o rig1/rig.yaml
+      rgbd-calib fuse rig1/extrinsic --rig rig1/rig.yaml -o rig1/cloud.ply
+
+    \b
+    Without cameras:
+      rgbd-calib simulate demo
+      rgbd-calib calibrate demo/extrinsic -o demo/rig.yaml
+    """
+
+
+def main() -> None:
+    """Entry point: user errors end in one line on stderr and their exit status, Ctrl-C in 130."""
+    try:
+        status = cli.main(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except click.exceptions.Abort:
+        click.echo("Interrupted; nothing was left half-written.", err=True)
+        sys.exit(130)
+    except RgbdCalibError as error:
+        click.echo(f"Error: {error}", err=True)
+        sys.exit(error.exit_status)
+    except BrokenPipeError:
+        sys.exit(141)
+    sys.exit(status if isinstance(status, int) else 0)

@@ -1,0 +1,146 @@
+"""What passes between the stages: frozen records of arrays, each with its shape, unit and frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.polynomial import polynomial
+
+from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.geometry.so3 import FloatArray
+
+IntArray = np.ndarray
+BoardType = Literal["checkerboard", "charuco"]
+
+
+@dataclass(frozen=True)
+class Board:
+    """A calibration board with `cols` x `rows` inner corners, squares of `square_m`.
+
+    The board's frame is the front's: x along the columns, y along the rows, z into the board, away from whoever
+    looks at the front; the origin is corner (0, 0). Corner (c, r) has the number r * cols + c. On a two-sided board,
+    corner (c, r) of the front lies behind corner (cols - 1 - c, r) of the back, `thickness_m` away; the back's plane
+    is z = thickness_m.
+    """
+
+    cols: int
+    rows: int
+    square_m: float
+    two_sided: bool = False
+    thickness_m: float = 0.0
+    type: BoardType = "checkerboard"
+    marker_m: float = 0.0
+    """Side of a ChArUco marker; 0 for a checkerboard."""
+    dictionary: str = ""
+    """Name of the ChArUco dictionary as cv2.aruco spells it, as DICT_5X5_250; empty for a checkerboard."""
+
+    @property
+    def n_corners(self) -> int:
+        return self.cols * self.rows
+
+    @property
+    def symmetric(self) -> bool:
+        """True where a half turn of the board cannot be seen: a checkerboard with cols + rows even."""
+        return self.type == "checkerboard" and (self.cols + self.rows) % 2 == 0
+
+    def corners_m(self, back: bool = False) -> FloatArray:
+        """Corners (cols * rows, 3), metres, in the board's frame, of the front or of the back."""
+        r, c = np.divmod(np.arange(self.n_corners), self.cols)
+        if back:
+            return np.stack([(self.cols - 1 - c) * self.square_m, r * self.square_m, np.full(len(c), self.thickness_m)], 1)
+        return np.stack([c * self.square_m, r * self.square_m, np.zeros(len(c))], axis=1)
+
+
+@dataclass(frozen=True)
+class BoardView:
+    """The board in one image: corners in px and the sensor's depth there, before any bias correction."""
+
+    camera: str
+    frame: str
+    ids: IntArray
+    """Corner numbers (n,), as the detector ordered them: face and half turn are not decided yet."""
+    corners_px: FloatArray
+    """(n, 2)."""
+    depth_m: FloatArray
+    """(n,), metres along the optical axis as measured, NaN where there is none."""
+    depth_pixels: IntArray
+    """(n,), how many depth pixels each value rests on, 0 where there is none."""
+
+
+@dataclass(frozen=True)
+class DepthBias:
+    """z_true = z + c0 + c1 z + c2 z^2 + ..., z in metres, fitted on [min_m, max_m] and held at the ends outside."""
+
+    coefficients: tuple[float, ...]
+    min_m: float
+    max_m: float
+    rms_m: float
+    covariance: FloatArray | None = None
+    """(k, k) of the coefficients, where it is known."""
+
+    def correct(self, z_m: FloatArray) -> FloatArray:
+        """Depth with the bias removed, metres, same shape as `z_m`."""
+        z_m = np.asarray(z_m, float)
+        return z_m + polynomial.polyval(np.clip(z_m, self.min_m, self.max_m), np.array(self.coefficients))
+
+    def standard_error(self, z_m: FloatArray) -> FloatArray:
+        """One sigma of the correction at z_m, metres, same shape; needs the covariance."""
+        if self.covariance is None:
+            raise ValueError("this depth bias has no covariance")
+        V = polynomial.polyvander(np.clip(np.asarray(z_m, float), self.min_m, self.max_m), len(self.coefficients) - 1)
+        return np.sqrt(np.einsum("...i,ij,...j->...", V, self.covariance, V))
+
+
+@dataclass(frozen=True)
+class RigCamera:
+    """A calibrated camera of the rig."""
+
+    intrinsics: Intrinsics
+    T_world_color: FloatArray
+    """(4, 4), p_world = T_world_color @ p_color, metres."""
+    covariance: FloatArray
+    """(6, 6) of the left perturbation (rad, m) of T_world_color in the world frame; zeros for the reference."""
+    depth_bias: DepthBias | None = None
+    """None: the sensor's depth is taken as it is."""
+    statistics: dict[str, Any] = field(default_factory=dict)
+    """Plain numbers by name, such as sigma_2d_px, sigma_3d_m, views, observations."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The result: cameras by id, the reference, and how good it is."""
+
+    reference: str
+    cameras: dict[str, RigCamera]
+    quality: dict[str, Any] = field(default_factory=dict)
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Correspondences:
+    """Features that several cameras see: pixels and measured 3D points, in any mixture.
+
+    A point is a physical point at one instant, (frame, feature); row i of a table is one observation, by camera
+    `cameras[*_camera[i]]` of point `labels[*_point[i]]`. The two feature sets of the paper (q_l^h and p_l^j) are the
+    two tables; they may or may not hold the same points.
+    """
+
+    cameras: tuple[str, ...]
+    labels: tuple[tuple[str, str], ...]
+    """(frame, feature) of each point."""
+    pixel_camera: IntArray
+    """(n2,) index into `cameras`."""
+    pixel_point: IntArray
+    """(n2,) index into `labels`."""
+    pixels_px: FloatArray
+    """(n2, 2)."""
+    xyz_camera: IntArray
+    """(n3,)."""
+    xyz_point: IntArray
+    """(n3,)."""
+    xyz_m: FloatArray
+    """(n3, 3), metres, in the colour camera's frame, depth bias removed."""
+    xyz_covariance: FloatArray | None = None
+    """(n3, 3, 3), in the colour camera's frame, known up to one common factor sigma_3d^2; None: the identity."""
