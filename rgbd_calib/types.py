@@ -49,7 +49,9 @@ class Board:
         """Corners (cols * rows, 3), metres, in the board's frame, of the front or of the back."""
         r, c = np.divmod(np.arange(self.n_corners), self.cols)
         if back:
-            return np.stack([(self.cols - 1 - c) * self.square_m, r * self.square_m, np.full(len(c), self.thickness_m)], 1)
+            return np.stack(
+                [(self.cols - 1 - c) * self.square_m, r * self.square_m, np.full(len(c), self.thickness_m)], 1
+            )
         return np.stack([c * self.square_m, r * self.square_m, np.zeros(len(c))], axis=1)
 
 

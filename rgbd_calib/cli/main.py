@@ -44,12 +44,16 @@ class _Commands(click.Group):
         command: click.Command = importlib.import_module(f"rgbd_calib.cli.{module}").command
         return command
 
-    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
         if args and args[0] not in COMMANDS:
             from difflib import get_close_matches
 
             near = get_close_matches(args[0], COMMANDS, 1)
-            ctx.fail(f"no command '{args[0]}'" + (f"; did you mean '{near[0]}'?" if near else "; see rgbd-calib --help"))
+            ctx.fail(
+                f"no command '{args[0]}'" + (f"; did you mean '{near[0]}'?" if near else "; see rgbd-calib --help")
+            )
         return super().resolve_command(ctx, args)
 
 

@@ -15,6 +15,7 @@ D. C. Brown, Close-range camera calibration, Photogrammetric Engineering 37(8), 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -137,7 +138,7 @@ def unproject(vector: FloatArray, pixels: FloatArray, z_m: FloatArray) -> FloatA
     return rays(vector, pixels) * np.asarray(z_m)[..., None]
 
 
-def _distort(x, y, k1, k2, p1, p2, k3):  # type: ignore[no-untyped-def]
+def _distort(x: Any, y: Any, k1: Any, k2: Any, p1: Any, p2: Any, k3: Any) -> tuple[Any, Any]:
     r2 = x * x + y * y
     g = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     return x * g + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * g + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y

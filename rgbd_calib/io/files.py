@@ -118,5 +118,7 @@ def load_yaml(path: Path) -> dict[str, Any]:
     except yaml.YAMLError as error:
         raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
     if not isinstance(data, dict):
-        raise ConfigError(f"{path}: holds {type(data).__name__ if data is not None else 'nothing'}, a mapping is needed")
+        raise ConfigError(
+            f"{path}: holds {type(data).__name__ if data is not None else 'nothing'}, a mapping is needed"
+        )
     return data

@@ -1,0 +1,273 @@
+"""Recordings: a folder with dataset.yaml and, for each camera, colour and depth images (see the README)."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rgbd_calib.errors import ConfigError
+from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.io.files import dump_yaml, load_yaml, whole_file, write_text
+from rgbd_calib.io.schemas import BoardModel, DatasetModel, IntrinsicsModel, parse
+from rgbd_calib.types import Board
+
+SUFFIXES = (".png", ".jpg", ".jpeg")
+
+
+@dataclass(frozen=True)
+class CameraInfo:
+    """What dataset.yaml says of a camera; `depth_scale` is metres for each unit of its depth images."""
+
+    width: int
+    height: int
+    depth_scale: float = 0.001
+    serial: str | None = None
+    intrinsics: Intrinsics | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording on disk; images are read when they are asked for."""
+
+    path: Path
+    cameras: dict[str, CameraInfo]
+    board: Board | None
+    extra: dict[str, Any]
+    """Keys of dataset.yaml that this program gives no meaning to."""
+
+    @cached_property
+    def color_files(self) -> dict[str, dict[str, Path]]:
+        """Colour files by camera and frame, frames in order."""
+        return {camera: _images(self.path / camera / "color", SUFFIXES) for camera in self.cameras}
+
+    @cached_property
+    def depth_files(self) -> dict[str, dict[str, Path]]:
+        """Depth files by camera and frame."""
+        return {camera: _images(self.path / camera / "depth", (".png",)) for camera in self.cameras}
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Stems of all frames of all cameras, in order."""
+        return tuple(sorted({frame for files in self.color_files.values() for frame in files}))
+
+    def color(self, camera: str, frame: str) -> np.ndarray:
+        """Colour image (height, width, 3), uint8, B G R.
+
+        Raises
+        ------
+        ConfigError
+            The file is damaged, or of another size than dataset.yaml says.
+        """
+        path = self.color_files[camera][frame]
+        image = _read_image(path)
+        if image.dtype != np.uint8:
+            raise ConfigError(
+                f"{path}: {image.dtype.itemsize * 8} bits a channel seen, 8 needed for colour. Convert it"
+            )
+        if image.ndim == 2:
+            image = np.repeat(image[..., None], 3, axis=2)
+        self._check_size(path, camera, image, "dataset.yaml says")
+        return np.ascontiguousarray(image[..., 2::-1])
+
+    def has_depth(self, camera: str, frame: str) -> bool:
+        return frame in self.depth_files[camera]
+
+    def depth_m(self, camera: str, frame: str) -> np.ndarray:
+        """Depth (height, width), float64, metres as measured, NaN where there is none.
+
+        Raises
+        ------
+        ConfigError
+            The file is damaged, not 16-bit with one channel, or of another size than the colour image.
+        """
+        path = self.depth_files[camera][frame]
+        depth_raw = _read_image(path)
+        if depth_raw.dtype != np.uint16 or depth_raw.ndim != 2:
+            channels = 1 if depth_raw.ndim == 2 else depth_raw.shape[2]
+            raise ConfigError(
+                f"{path}: {depth_raw.dtype.itemsize * 8} bits and {channels} channel(s) seen, depth needs 16 bits and one. "
+                "Save the sensor's depth as a 16-bit greyscale PNG, not a picture of it"
+            )
+        self._check_size(path, camera, depth_raw, "the colour image has")
+        return np.where(depth_raw == 0, np.nan, depth_raw * self.cameras[camera].depth_scale)
+
+    def distances_m(self, camera: str) -> dict[str, float]:
+        """Wall distances by frame from distances.csv, metres; empty where there is no such file."""
+        path = self.path / camera / "distances.csv"
+        if not path.exists():
+            return {}
+        rows = read_table(path, ("frame", "distance_m"))
+        return {row["frame"]: number(path, line, "distance_m", row["distance_m"]) for line, row in rows}
+
+    def timestamps_us(self, camera: str) -> dict[str, tuple[float, float]]:
+        """(colour, depth) time stamps by frame from timestamps.csv, microseconds; NaN where one is missing."""
+        path = self.path / camera / "timestamps.csv"
+        if not path.exists():
+            return {}
+        out = {}
+        for line, row in read_table(path, ("frame", "color_us", "depth_us")):
+            stamps = [number(path, line, key, row[key] or "nan") for key in ("color_us", "depth_us")]
+            out[row["frame"]] = (stamps[0], stamps[1])
+        return out
+
+    def digest(self) -> str:
+        """SHA-256 over names and contents of dataset.yaml and all images: says which recording a result is from."""
+        total = hashlib.sha256((self.path / "dataset.yaml").read_bytes())
+        for files in (self.color_files, self.depth_files):
+            for camera in files:
+                for path in files[camera].values():
+                    total.update(str(path.relative_to(self.path)).encode())
+                    total.update(hashlib.sha256(path.read_bytes()).digest())
+        return total.hexdigest()
+
+    def _check_size(self, path: Path, camera: str, image: np.ndarray, who: str) -> None:
+        info = self.cameras[camera]
+        if image.shape[:2] != (info.height, info.width):
+            raise ConfigError(
+                f"{path}: {image.shape[1]}x{image.shape[0]} px seen, {who} {info.width}x{info.height}. "
+                "Correct the size in dataset.yaml, or record depth registered to colour"
+            )
+
+
+def open_recording(path: Path) -> Recording:
+    """Read dataset.yaml and list the images.
+
+    Raises
+    ------
+    ConfigError
+        No such folder or file, a wrong key, a camera without images, depth that is not registered.
+    """
+    if not path.is_dir():
+        raise ConfigError(f"{path}: no such folder. A recording is a folder with dataset.yaml and one folder a camera")
+    if not (path / "dataset.yaml").exists():
+        inside = [p.parent.name for p in sorted(path.glob("*/dataset.yaml"))]
+        hint = f"Did you mean one of {', '.join(str(path / name) for name in inside)}?" if inside else "Add one"
+        raise ConfigError(f"{path}: no dataset.yaml in it. {hint}")
+    data = load_yaml(path / "dataset.yaml")
+    model = parse(DatasetModel, data, path / "dataset.yaml")
+    if not model.depth_registered:
+        raise ConfigError(
+            f"{path / 'dataset.yaml'}: depth_registered is false; depth must be registered to the colour image. "
+            "Register it with the sensor's own software, or record it again with `rgbd-calib capture`"
+        )
+    cameras = {
+        name: CameraInfo(
+            camera.width,
+            camera.height,
+            camera.depth_scale or model.depth_scale,
+            camera.serial,
+            camera.intrinsics.value() if camera.intrinsics else None,
+        )
+        for name, camera in model.cameras.items()
+    }
+    board = model.board.value() if model.board else None
+    recording = Recording(path, cameras, board, dict(model.model_extra or {}))
+    for camera, files in recording.color_files.items():
+        if not files:
+            raise ConfigError(
+                f"{path}: camera {camera} of dataset.yaml has no images; {path / camera / 'color'}/*.png needed. "
+                "Record it, or take it out of dataset.yaml"
+            )
+    return recording
+
+
+def write_dataset(
+    folder: Path, cameras: Mapping[str, CameraInfo], board: Board | None, extra: Mapping[str, Any] | None = None
+) -> None:
+    """Write dataset.yaml into `folder`; the depth scale stands with each camera."""
+    listed: dict[str, Any] = {}
+    for name, info in cameras.items():
+        entry: dict[str, Any] = {"width": info.width, "height": info.height, "depth_scale": info.depth_scale}
+        if info.serial is not None:
+            entry["serial"] = info.serial
+        if info.intrinsics is not None:
+            entry["intrinsics"] = IntrinsicsModel.of(info.intrinsics).model_dump()
+        listed[name] = entry
+    data: dict[str, Any] = {"format": "rgbd-calib/dataset", "version": 1, "depth_registered": True, "cameras": listed}
+    if board is not None:
+        data["board"] = BoardModel.of(board).model_dump(exclude_none=True)
+    write_text(folder / "dataset.yaml", dump_yaml(data | dict(extra or {})))
+
+
+def save_color(recording: Path, camera: str, frame: str, image: np.ndarray) -> None:
+    """Write a colour image (h, w, 3), uint8, B G R, as PNG."""
+    _save_png(recording / camera / "color" / f"{frame}.png", image)
+
+
+def save_depth(recording: Path, camera: str, frame: str, depth_raw: np.ndarray) -> None:
+    """Write a depth image (h, w), uint16 in units of the camera's depth scale, 0 = none, as PNG."""
+    _save_png(recording / camera / "depth" / f"{frame}.png", depth_raw)
+
+
+def write_table(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
+    """Write a CSV file whole or not at all."""
+    with whole_file(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)
+
+
+def read_table(path: Path, columns: tuple[str, ...]) -> list[tuple[int, dict[str, str]]]:
+    """Rows of a CSV file with their line numbers; it must have these columns, others pass."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            reader = csv.DictReader(stream)
+            missing = [column for column in columns if column not in (reader.fieldnames or [])]
+            if missing:
+                seen = ", ".join(reader.fieldnames or []) or "nothing"
+                raise ConfigError(f"{path}: line 1: column '{missing[0]}' is missing; seen: {seen}. Add it")
+            rows = []
+            for row in reader:
+                if None in row or any(row[column] is None for column in columns):
+                    raise ConfigError(f"{path}: line {reader.line_num}: {len(reader.fieldnames or [])} fields needed")
+                rows.append((reader.line_num, row))
+            return rows
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: cannot be read as CSV ({error})") from error
+
+
+def number(path: Path, line: int, key: str, text: str) -> float:
+    """A number of a CSV file, or an error that names the line and the column."""
+    try:
+        return float(text)
+    except ValueError:
+        raise ConfigError(f"{path}: line {line}: {key}: {text!r} seen, a number needed") from None
+
+
+def _images(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
+    if not folder.is_dir():
+        return {}
+    files = sorted(p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith("."))
+    return {p.stem: p for p in files}
+
+
+def _read_image(path: Path) -> np.ndarray:
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as image:
+            image.load()  # raises where the file ends early, which cv2.imread would not
+            if image.mode in ("P", "1", "CMYK", "LA", "PA", "YCbCr"):
+                array = np.array(image.convert("RGB"))
+            else:
+                array = np.array(image)
+    except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
+        raise ConfigError(f"{path}: damaged or no image ({error}). Delete it, or copy the recording again") from error
+    return array.astype(np.uint16) if array.dtype == np.int32 and array.max() < 65536 else array
+
+
+def _save_png(path: Path, image: np.ndarray) -> None:
+    import cv2
+
+    with whole_file(path) as temporary:
+        if not cv2.imwrite(str(temporary), image, [cv2.IMWRITE_PNG_COMPRESSION, 1]):
+            raise ConfigError(f"{path}: could not be written. Is the disk full?")

@@ -1,0 +1,127 @@
+"""Rig files: the result, and the files of the same form that hold only intrinsics or only depth biases."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rgbd_calib.errors import ConfigError
+from rgbd_calib.geometry import so3
+from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.io.files import dump_yaml, load_yaml, write_text
+from rgbd_calib.io.schemas import DepthBiasModel, IntrinsicsModel, RigModel, parse
+from rgbd_calib.types import DepthBias, Rig, RigCamera
+
+_KNOWN = ("intrinsics", "T_world_color", "rotation_wxyz", "translation_m", "covariance", "depth_bias")
+
+
+def write_rig(path: Path, rig: Rig, boards: Mapping[str, FloatArray] | None = None) -> None:
+    """Write a rig; `boards` (a simulation's truth) are T_world_board (4, 4) by frame."""
+    cameras = {name: _camera_entry(camera) for name, camera in rig.cameras.items()}
+    data: dict[str, Any] = {"format": "rgbd-calib/rig", "version": 1, "reference": rig.reference, "cameras": cameras}
+    if boards is not None:
+        data["boards"] = dict(boards)
+    write_text(path, dump_yaml(data | {"quality": rig.quality, "provenance": rig.provenance}))
+
+
+def write_intrinsics(
+    path: Path,
+    intrinsics: Mapping[str, Intrinsics],
+    statistics: Mapping[str, Mapping[str, Any]],
+    quality: Mapping[str, Any],
+    provenance: Mapping[str, Any],
+) -> None:
+    """Write intrinsics.yaml; `statistics` are plain numbers by camera."""
+    cameras = {
+        name: {"intrinsics": IntrinsicsModel.of(value).model_dump(), **statistics.get(name, {})}
+        for name, value in intrinsics.items()
+    }
+    _write_part(path, cameras, quality, provenance)
+
+
+def write_depth_bias(
+    path: Path,
+    biases: Mapping[str, DepthBias],
+    statistics: Mapping[str, Mapping[str, Any]],
+    quality: Mapping[str, Any],
+    provenance: Mapping[str, Any],
+) -> None:
+    """Write depth_bias.yaml; `statistics` are plain numbers by camera."""
+    cameras = {
+        name: {"depth_bias": DepthBiasModel.of(value).model_dump(exclude_none=True), **statistics.get(name, {})}
+        for name, value in biases.items()
+    }
+    _write_part(path, cameras, quality, provenance)
+
+
+def read_rig(path: Path) -> Rig:
+    """A whole rig: every camera with intrinsics and pose.
+
+    Raises
+    ------
+    ConfigError
+        Not a rig file, or a camera lacks its intrinsics or pose.
+    """
+    model = parse(RigModel, load_yaml(path), path)
+    cameras = {}
+    for name, camera in model.cameras.items():
+        if camera.intrinsics is None or camera.T_world_color is None:
+            lacks = "intrinsics" if camera.intrinsics is None else "T_world_color"
+            raise ConfigError(f"{path}: cameras.{name}.{lacks} is missing; a rig needs it. Is this a part of a rig?")
+        cameras[name] = RigCamera(
+            camera.intrinsics.value(),
+            np.array(camera.T_world_color),
+            np.zeros((6, 6)) if camera.covariance is None else np.array(camera.covariance),
+            camera.depth_bias.value() if camera.depth_bias else None,
+            {k: v for k, v in camera.model_dump(exclude_none=True).items() if k not in _KNOWN},
+        )
+    reference = model.reference or next(iter(cameras))
+    if reference not in cameras:
+        raise ConfigError(f"{path}: reference: '{reference}' seen, one of {', '.join(cameras)} needed")
+    return Rig(reference, cameras, model.quality, model.provenance)
+
+
+def read_intrinsics(path: Path) -> dict[str, Intrinsics]:
+    """Intrinsics by camera from a rig file or a part of one."""
+    model = parse(RigModel, load_yaml(path), path)
+    found = {name: camera.intrinsics.value() for name, camera in model.cameras.items() if camera.intrinsics}
+    if not found:
+        raise ConfigError(f"{path}: no camera has 'intrinsics'. Make them with `rgbd-calib intrinsics`")
+    return found
+
+
+def read_depth_bias(path: Path) -> dict[str, DepthBias]:
+    """Depth biases by camera from a rig file or a part of one."""
+    model = parse(RigModel, load_yaml(path), path)
+    found = {name: camera.depth_bias.value() for name, camera in model.cameras.items() if camera.depth_bias}
+    if not found:
+        raise ConfigError(f"{path}: no camera has 'depth_bias'. Make it with `rgbd-calib depth-bias`")
+    return found
+
+
+def read_boards(path: Path) -> dict[str, FloatArray]:
+    """T_world_board (4, 4) by frame from a simulation's truth.yaml; empty where there are none."""
+    model = parse(RigModel, load_yaml(path), path)
+    return {frame: np.array(T) for frame, T in (model.boards or {}).items()}
+
+
+def _camera_entry(camera: RigCamera) -> dict[str, Any]:
+    entry: dict[str, Any] = {
+        "intrinsics": IntrinsicsModel.of(camera.intrinsics).model_dump(),
+        "T_world_color": camera.T_world_color,
+        "rotation_wxyz": so3.quaternion_wxyz(camera.T_world_color[:3, :3]),
+        "translation_m": camera.T_world_color[:3, 3],
+        "covariance": camera.covariance,
+    }
+    if camera.depth_bias is not None:
+        entry["depth_bias"] = DepthBiasModel.of(camera.depth_bias).model_dump(exclude_none=True)
+    return entry | camera.statistics
+
+
+def _write_part(path: Path, cameras: dict[str, Any], quality: Mapping[str, Any], provenance: Mapping[str, Any]) -> None:
+    head = {"format": "rgbd-calib/rig", "version": 1, "cameras": cameras}
+    write_text(path, dump_yaml(head | {"quality": dict(quality), "provenance": dict(provenance)}))
