@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import sys
 
 import click
@@ -33,15 +34,18 @@ COMMANDS = (
 """In the order of the work. Command `a-b` is `command` in module `rgbd_calib.cli.a_b` (`import_` for `import`)."""
 
 
+def _module(name: str) -> str:
+    return "rgbd_calib.cli." + ("import_" if name == "import" else name.replace("-", "_"))
+
+
 class _Commands(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(COMMANDS)
+        return [name for name in COMMANDS if importlib.util.find_spec(_module(name))]
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
             return None
-        module = "import_" if name == "import" else name.replace("-", "_")
-        command: click.Command = importlib.import_module(f"rgbd_calib.cli.{module}").command
+        command: click.Command = importlib.import_module(_module(name)).command
         return command
 
     def resolve_command(
