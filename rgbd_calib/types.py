@@ -72,6 +72,33 @@ class BoardView:
 
 
 @dataclass(frozen=True)
+class PosedView:
+    """A view with the pose of the face that it shows, in the order in which the detector read it."""
+
+    view: BoardView
+    T_color_face: FloatArray
+    """(4, 4); the face's frame is the front's frame of :class:`Board`, as if the face were the front."""
+    rms_px: float
+    """RMS reprojection error over corners, px for each coordinate."""
+
+
+@dataclass(frozen=True)
+class PlacedView:
+    """A view whose face and half turn are decided: its corners are points of the board's frame."""
+
+    view: BoardView
+    back: bool
+    turned: bool
+    T_color_board: FloatArray
+    """(4, 4)."""
+
+    def points_m(self, board: Board) -> FloatArray:
+        """Corners (n, 3), metres, in the board's frame, in the order of the view."""
+        ids = board.n_corners - 1 - self.view.ids if self.turned else self.view.ids
+        return board.corners_m(self.back)[ids]
+
+
+@dataclass(frozen=True)
 class DepthBias:
     """z_true = z + c0 + c1 z + c2 z^2 + ..., z in metres, fitted on [min_m, max_m] and held at the ends outside."""
 

@@ -34,7 +34,9 @@ class DetectParams:
     """Search again, harder and slower, where the plain search finds no board."""
 
 
-def find_corners(gray: np.ndarray, board: Board, params: DetectParams | None = None) -> tuple[IntArray, FloatArray] | None:
+def find_corners(
+    gray: np.ndarray, board: Board, params: DetectParams | None = None
+) -> tuple[IntArray, FloatArray] | None:
     """Corner numbers (n,) and pixels (n, 2) of the board in a grey image (h, w) uint8, or None.
 
     A checkerboard is found whole; a ChArUco board may be seen in part.
@@ -166,7 +168,10 @@ def _least_median(A: FloatArray, q: FloatArray, rng: np.random.Generator) -> tup
     triples = rng.integers(len(q), size=(PLANE_SAMPLES, 3))
     usable = np.abs(np.linalg.det(A[triples])) > 1e-3 * np.ptp(A[:, :2])  # the triangle's area, against slivers
     candidates = np.concatenate(
-        [np.linalg.solve(A[triples][usable], q[triples][usable][..., None])[..., 0], [np.linalg.lstsq(A, q, rcond=None)[0]]]
+        [
+            np.linalg.solve(A[triples][usable], q[triples][usable][..., None])[..., 0],
+            [np.linalg.lstsq(A, q, rcond=None)[0]],
+        ]
     )
     medians = np.median(np.abs(candidates @ A.T - q), axis=1)
     best = int(np.argmin(medians))

@@ -1,0 +1,211 @@
+"""Which corner is which: face and half turn of every view, from what most frames agree on.
+
+A view shows the face (front or back of a two-sided board) in one of the turns that the print allows. Each choice is a
+fixed motion G between the face as it was read and the board's frame: the identity, the half turn H, the back B, or BH.
+They commute and are their own inverses, so the relative pose of two cameras in one frame depends on the product of
+their choices alone: as many hypotheses as there are motions. The right one makes the relative pose agree over the
+frames. So: for each pair of cameras, the relative pose with the most votes (one vote a frame); then the strongest
+pairs chained to all cameras; then, frame by frame, the choices that agree with those poses.
+
+One frame's board may be read from either side: the choice of its first view is free, and the others follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from rgbd_calib.errors import CalibrationError
+from rgbd_calib.geometry import se3, so3
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.types import Board, PlacedView, PosedView
+
+
+@dataclass(frozen=True)
+class AssociationParams:
+    max_angle_rad: float = 0.10
+    """Two relative poses agree where they differ by less than this and than max_shift of the distance."""
+    max_shift: float = 0.10
+
+
+@dataclass(frozen=True)
+class PairVotes:
+    """What the frames say of two cameras."""
+
+    cameras: tuple[str, str]
+    frames: int
+    votes: int
+    """Frames that agree with the best relative pose."""
+    rival_votes: int
+    """The most frames that agree with a pose from other choices: equal votes mean that nothing decides."""
+    T_a_b: FloatArray
+
+
+@dataclass(frozen=True)
+class AssociationResult:
+    """Decided views, and the views that fit nothing."""
+
+    views: tuple[PlacedView, ...]
+    T_world_color: dict[str, FloatArray]
+    """Rough poses from single views, world = the reference camera."""
+    dropped: dict[tuple[str, str], str]
+    """Why, by (camera, frame)."""
+    pairs: tuple[PairVotes, ...]
+
+
+def associate(
+    views: Sequence[PosedView],
+    board: Board,
+    reference: str,
+    cameras: Sequence[str],
+    params: AssociationParams | None = None,
+) -> AssociationResult:
+    """Decide face and turn of every view and place every camera roughly.
+
+    Raises
+    ------
+    CalibrationError
+        Cameras that no chain of common views joins (names the groups and which pair to film), or a half turn that
+        nothing decides.
+    """
+    params = params or AssociationParams()
+    motions = _motions(board)
+    by_frame: dict[str, dict[str, PosedView]] = {}
+    for posed in views:
+        by_frame.setdefault(posed.view.frame, {})[posed.view.camera] = posed
+    pairs = _vote(by_frame, motions, params)
+    _check_connected(cameras, pairs)
+    T_world_color = _chain(reference, cameras, pairs)
+    placed: list[PlacedView] = []
+    dropped: dict[tuple[str, str], str] = {}
+    for frame in sorted(by_frame):
+        good, bad = _choose(by_frame[frame], motions, T_world_color, params)
+        placed += good
+        dropped |= {(camera, frame): why for camera, why in bad.items()}
+    return AssociationResult(tuple(placed), T_world_color, dropped, tuple(pairs))
+
+
+Motion = tuple[bool, bool, FloatArray]
+"""(back, turned, T_face_board)."""
+
+
+def _motions(board: Board) -> list[Motion]:
+    width, height = (board.cols - 1) * board.square_m, (board.rows - 1) * board.square_m
+    turn = se3.make(np.diag([-1.0, -1.0, 1.0]), np.array([width, height, 0.0]))
+    back = se3.make(np.diag([-1.0, 1.0, -1.0]), np.array([width, 0.0, board.thickness_m]))
+    motions: list[Motion] = [(False, False, np.eye(4))]
+    if board.symmetric:
+        motions.append((False, True, turn))
+    if board.two_sided:
+        motions += [(True, turned, back @ T) for _, turned, T in list(motions)]
+    return motions
+
+
+def _agree(T: FloatArray, others: FloatArray, params: AssociationParams) -> tuple[FloatArray, FloatArray]:
+    """Which of (n, 4, 4) agree with T (4, 4), and how far each is, in units of the tolerance."""
+    D = np.linalg.inv(T) @ others
+    scale = np.maximum(np.linalg.norm(T[:3, 3]), 0.3)
+    distance = np.maximum(
+        so3.angle_rad(D[:, :3, :3]) / params.max_angle_rad,
+        np.linalg.norm(D[:, :3, 3], axis=1) / (params.max_shift * scale),
+    )
+    return distance < 1, distance
+
+
+def _vote(
+    by_frame: dict[str, dict[str, PosedView]], motions: list[Motion], params: AssociationParams
+) -> list[PairVotes]:
+    candidates: dict[tuple[str, str], list[FloatArray]] = {}
+    for frame in sorted(by_frame):
+        for a, b in combinations(sorted(by_frame[frame]), 2):
+            T_a_face, T_b_face = by_frame[frame][a].T_color_face, by_frame[frame][b].T_color_face
+            relative = np.stack([T_a_face @ G @ se3.inverse(T_b_face) for _, _, G in motions])
+            candidates.setdefault((a, b), []).append(relative)
+    return [_best_of(pair, np.stack(listed), params) for pair, listed in sorted(candidates.items())]
+
+
+def _best_of(pair: tuple[str, str], relative: FloatArray, params: AssociationParams) -> PairVotes:
+    """The relative pose with most votes among (frames, motions, 4, 4); ties go to the tightest."""
+    n_frames, n_motions = relative.shape[:2]
+    flat = relative.reshape(-1, 4, 4)
+    distances = np.stack([_agree(T, flat, params)[1] for T in flat]).reshape(-1, n_frames, n_motions)
+    nearest = distances.min(axis=2)  # of each frame's motions
+    votes = np.sum(nearest < 1, axis=1)
+    score = votes - np.sum(np.minimum(nearest, 1), axis=1) / (n_frames + 1)
+    best = int(np.argmax(score))
+    rivals = distances.reshape(len(flat), -1)[best] >= 2  # a different pose, not the same one with noise
+    rival = int(votes[rivals].max()) if rivals.any() and n_motions > 1 else 0
+    chosen = relative[np.arange(n_frames), distances[best].argmin(axis=1)][nearest[best] < 1]
+    T = se3.make(so3.mean(chosen[:, :3, :3]), np.median(chosen[:, :3, 3], axis=0))
+    return PairVotes(pair, n_frames, int(votes[best]), rival, T)
+
+
+def _check_connected(cameras: Sequence[str], pairs: Sequence[PairVotes]) -> None:
+    group = {camera: i for i, camera in enumerate(cameras)}
+    for pair in pairs:
+        a, b = (group[camera] for camera in pair.cameras)
+        group = {camera: a if g == b else g for camera, g in group.items()}
+    groups: dict[int, list[str]] = {}
+    for camera in cameras:
+        groups.setdefault(group[camera], []).append(camera)
+    if len(groups) > 1:
+        first, *rest = groups.values()
+        text = " | ".join("{" + ", ".join(g) + "}" for g in groups.values())
+        film = " and ".join(f"{first[-1]} with {other[0]}" for other in rest)
+        raise CalibrationError(
+            f"cameras are not connected: no common view of the board joins the groups {text}; one frame in which both see "
+            f"it is needed, five are good. Film {film} together (or any other camera of those groups)"
+        )
+
+
+def _chain(reference: str, cameras: Sequence[str], pairs: Sequence[PairVotes]) -> dict[str, FloatArray]:
+    """Poses over the maximum spanning tree from the reference, by margin of the vote, then by votes."""
+    placed = {reference: np.eye(4)}
+    while len(placed) < len(cameras):
+        reach = [p for p in pairs if (p.cameras[0] in placed) != (p.cameras[1] in placed)]
+        best = max(reach, key=lambda p: (p.votes - p.rival_votes, p.votes))
+        a, b = best.cameras
+        if best.votes <= best.rival_votes:
+            raise CalibrationError(
+                f"{a} and {b}: {best.frames} common view(s), and the board could be half turned, or seen from its other "
+                f"side, in {'it' if best.frames == 1 else 'them'} just as well; two frames with the board held differently "
+                "are needed. Film this pair again, or use a board with cols + rows odd"
+            )
+        if a in placed:
+            placed[b] = placed[a] @ best.T_a_b
+        else:
+            placed[a] = placed[b] @ se3.inverse(best.T_a_b)
+    return {camera: placed[camera] for camera in cameras}
+
+
+def _choose(
+    views: dict[str, PosedView], motions: list[Motion], T_world_color: dict[str, FloatArray], params: AssociationParams
+) -> tuple[list[PlacedView], dict[str, str]]:
+    """Choices of one frame that agree with the poses of the cameras, and the views that do not fit."""
+    best: list[tuple[str, int]] = []
+    for anchor in sorted(views):
+        T_world_board = T_world_color[anchor] @ views[anchor].T_color_face
+        fits = []
+        for camera in sorted(views):
+            # compare camera poses, not board poses: that is what the tolerance is stated for
+            T = np.stack([T_world_board @ G @ se3.inverse(views[camera].T_color_face) for _, _, G in motions])
+            relative = se3.inverse(T_world_color[anchor]) @ T
+            distance = _agree(se3.inverse(T_world_color[anchor]) @ T_world_color[camera], relative, params)[1]
+            if camera == anchor or distance.min() < 2:  # the chain's own error comes on top of one view's
+                fits.append((camera, int(distance.argmin()) if camera != anchor else 0))
+        if len(fits) > len(best):
+            best = fits
+    placed = []
+    for camera, choice in best:
+        back, turned, G = motions[choice]
+        placed.append(PlacedView(views[camera].view, back, turned, views[camera].T_color_face @ G))
+    seen = sorted(camera for camera, _ in best)
+    bad = {
+        camera: f"the board's pose agrees in no reading with {', '.join(seen) or 'the rig'}"
+        for camera in views
+        if camera not in seen
+    }
+    return placed, bad

@@ -1,0 +1,53 @@
+"""The pose of the board in one view, from its pixels; measured depth breaks the planar ambiguity.
+
+A plane seen with weak perspective has two poses that fit the pixels almost equally well (the board tilted one way, or
+the other). Where their errors do not decide, the slope of the measured depth does: it has opposite signs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rgbd_calib.geometry import camera, resection, se3
+from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.types import Board, BoardView, DepthBias, PosedView
+
+
+@dataclass(frozen=True)
+class BoardPoseParams:
+    min_chi2_difference: float = 30.0
+    """Pixels decide between the two poses where their sums of squares differ by more, in units of the better one's
+    variance: 30 is 5.5 standard errors."""
+
+
+def pose_view(
+    view: BoardView, board: Board, intrinsics: Intrinsics, bias: DepthBias | None, params: BoardPoseParams | None = None
+) -> PosedView:
+    """The face's pose in the colour camera of the view."""
+    params = params or BoardPoseParams()
+    corners_m = board.corners_m()[view.ids]
+    rays = camera.rays(intrinsics.vector, view.corners_px)
+    poses, rms = resection.homography_pose(corners_m[:, :2], rays)
+    best = 0
+    if len(poses) > 1:
+        n = 2 * len(view.ids)
+        undecided = n * ((rms[1] / max(rms[0], 1e-9)) ** 2 - 1) < params.min_chi2_difference
+        has_depth = np.isfinite(view.depth_m).sum() >= 6
+        if undecided and has_depth:
+            best = int(np.argmin([_depth_misfit(T, corners_m, view.depth_m, bias) for T in poses]))
+    T = poses[best]
+    residual = camera.project(intrinsics.vector, se3.transform(T, corners_m)) - view.corners_px
+    return PosedView(view, T, float(np.sqrt(np.mean(residual**2))))
+
+
+def _depth_misfit(
+    T_color_face: FloatArray, corners_m: FloatArray, depth_m: FloatArray, bias: DepthBias | None
+) -> float:
+    """Spread of measured against predicted inverse depth, robust; a common offset does not count."""
+    z = se3.transform(T_color_face, corners_m)[:, 2]
+    measured = depth_m if bias is None else bias.correct(depth_m)
+    difference = (1 / measured - 1 / z)[np.isfinite(depth_m)]
+    return float(np.median(np.abs(difference - np.median(difference))))

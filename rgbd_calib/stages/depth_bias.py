@@ -1,0 +1,123 @@
+"""The systematic error of a depth sensor as a polynomial of the depth it reports.
+
+    z_true - z = c0 + c1 z + ... + ck z^k
+
+fitted by weighted least squares; the order is the one with the lowest small-sample Akaike criterion, and so is the
+exponent p of the noise model sigma ~ z^p (2 for a triangulating sensor, 0 where tape and wall dominate). The scatter
+about the curve gives the noise, and so the covariance of the coefficients. Outside the range of the data the
+correction is held at the range's end.
+
+References
+----------
+The paper, section 7 (after Nakazawa et al.). C. Hurvich, C.-L. Tsai, Biometrika 76(2), 1989, for the criterion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import polynomial
+
+from rgbd_calib.errors import CalibrationError
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.types import DepthBias
+
+
+@dataclass(frozen=True)
+class DepthBiasParams:
+    order: int | None = None
+    """Degree of the polynomial; None: chosen from 1 ... max_order."""
+    max_order: int = 4
+    noise_exponent: float | None = None
+    """p of sigma ~ z^p; None: 0, 1 or 2, whichever is the most likely."""
+    min_range_ratio: float = 1.25
+    """The farthest distance over the nearest: below it, offset and scale cannot be told apart."""
+    outlier_sigmas: float = 5.0
+
+
+@dataclass(frozen=True)
+class DepthBiasFit:
+    """The data behind a depth bias."""
+
+    bias: DepthBias
+    z_m: FloatArray
+    z_true_m: FloatArray
+    dropped: FloatArray
+    """(n,) bool: too far from the curve."""
+    noise_exponent: float
+
+
+def fit_depth_bias(
+    z_m: FloatArray, z_true_m: FloatArray, params: DepthBiasParams | None = None, *, camera: str
+) -> DepthBias:
+    """Depth bias of `camera` from reported depths (n,) and true ones (n,), metres.
+
+    Raises
+    ------
+    CalibrationError
+        Fewer data than the polynomial needs, or over too short a range.
+    """
+    return fit_with_data(z_m, z_true_m, params, camera=camera).bias
+
+
+def fit_with_data(
+    z_m: FloatArray, z_true_m: FloatArray, params: DepthBiasParams | None = None, *, camera: str
+) -> DepthBiasFit:
+    """The same as :func:`fit_depth_bias`, with the data and what was dropped."""
+    params = params or DepthBiasParams()
+    z_m, z_true_m = np.asarray(z_m, float), np.asarray(z_true_m, float)
+    least = (params.order or 1) + 2
+    if len(z_m) < least:
+        raise CalibrationError(
+            f"{camera}: {len(z_m)} distance(s) for the depth bias, {least} needed. Record the wall at more distances"
+        )
+    if z_m.max() < params.min_range_ratio * z_m.min():
+        raise CalibrationError(
+            f"{camera}: depth seen from {z_m.min():.2f} to {z_m.max():.2f} m, a ratio of {params.min_range_ratio} needed "
+            "to tell offset from scale. Record it nearer and farther too"
+        )
+    keep = np.ones(len(z_m), bool)
+    for _ in range(5):
+        best = _best(z_m[keep], z_true_m[keep], params)
+        scaled = (z_true_m - z_m - polynomial.polyval(z_m, best.coefficients)) / z_m**best.exponent
+        spread = 1.4826 * float(np.median(np.abs(scaled[keep]))) + 1e-12
+        again = np.abs(scaled) <= params.outlier_sigmas * spread
+        if np.array_equal(again, keep) or again.sum() < max(least, len(z_m) // 2):
+            break
+        keep = again
+    rms_m = float(np.sqrt(np.mean((scaled * z_m**best.exponent)[keep] ** 2)))
+    coefficients = tuple(float(c) for c in best.coefficients)
+    bias = DepthBias(coefficients, float(z_m[keep].min()), float(z_m[keep].max()), rms_m, best.covariance)
+    return DepthBiasFit(bias, z_m, z_true_m, ~keep, best.exponent)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    coefficients: FloatArray
+    covariance: FloatArray
+    exponent: float
+    criterion: float
+
+
+def _best(z_m: FloatArray, z_true_m: FloatArray, params: DepthBiasParams) -> _Fit:
+    top = min(params.max_order, len(z_m) - 3)  # at least two degrees of freedom stay for the scatter
+    orders = [params.order] if params.order is not None else range(1, max(top, 1) + 1)
+    exponents = [0.0, 1.0, 2.0] if params.noise_exponent is None else [params.noise_exponent]
+    return min((_fit(z_m, z_true_m, order, p) for order in orders for p in exponents), key=lambda fit: fit.criterion)
+
+
+def _fit(z_m: FloatArray, z_true_m: FloatArray, order: int, exponent: float) -> _Fit:
+    n, k = len(z_m), order + 1
+    sigma = (z_m / z_m.mean()) ** exponent
+    A = polynomial.polyvander(z_m, order) / sigma[:, None]
+    y = (z_true_m - z_m) / sigma
+    Q, R = np.linalg.qr(A)
+    coefficients = np.linalg.solve(R, Q.T @ y)
+    sse = float(np.sum((y - A @ coefficients) ** 2)) + 1e-24
+    R_inv = np.linalg.inv(R)
+    # Gaussian likelihood with sigma estimated: k + 1 parameters, small-sample correction
+    p = k + 1
+    correction = 2 * p * (p + 1) / (n - p - 1) if n > p + 1 else np.inf if order > 1 else 0.0
+    criterion = n * np.log(sse / n) + 2 * float(np.sum(np.log(sigma))) + 2 * p + correction
+    return _Fit(coefficients, R_inv @ R_inv.T * sse / max(n - k, 1), exponent, criterion)

@@ -1,0 +1,161 @@
+"""First poses of all cameras: the DLT from features of an already placed camera, over the graph of pairs.
+
+The reference stands at the identity. Then, again and again, the camera that shares most features with one already
+placed is placed: 3D points measured by the placed camera against the new one's pixels, by the DLT (the paper, section
+6.1). A DLT needs points that are not coplanar; where they are (one board pose), the homography of their plane gives the
+pose, and measured 3D points of both cameras choose between its two candidates. Without enough 3D points on the placed
+side the roles are exchanged, and with 3D points on both sides but no pixels the points are aligned rigidly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rgbd_calib.errors import CalibrationError
+from rgbd_calib.geometry import align, camera, plane, resection, se3
+from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.types import Correspondences
+
+
+@dataclass(frozen=True)
+class InitializationParams:
+    min_points: int = 4
+    """Common features that a pair needs."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """How a camera was placed."""
+
+    camera: str
+    from_camera: str
+    points: int
+    method: str
+    """`dlt`, `homography` or `rigid`."""
+
+
+@dataclass(frozen=True)
+class InitializationResult:
+    T_world_color: dict[str, FloatArray]
+    """World = the reference camera."""
+    steps: tuple[Step, ...]
+
+
+def initialize(
+    data: Correspondences, intrinsics: dict[str, Intrinsics], reference: str, params: InitializationParams | None = None
+) -> InitializationResult:
+    """Place every camera of the correspondences.
+
+    Raises
+    ------
+    CalibrationError
+        A camera shares too few features with the others (names the groups and which pair to film), or the features of
+        a pair do not determine a pose.
+    """
+    params = params or InitializationParams()
+    tables = _tables(data)
+    placed = {reference: np.eye(4)}
+    steps: list[Step] = []
+    while len(placed) < len(data.cameras):
+        options = [(len(_common(tables[a], tables[b])), a, b) for a in placed for b in data.cameras if b not in placed]
+        count, a, b = max(options, key=lambda option: option[0])
+        if count < params.min_points:
+            raise _not_connected(data.cameras, placed, options, params)
+        T_b_a, method = _relative(tables[a], tables[b], intrinsics[b], intrinsics[a], f"{a} and {b}")
+        placed[b] = placed[a] @ se3.inverse(T_b_a)
+        steps.append(Step(b, a, count, method))
+    return InitializationResult({name: placed[name] for name in data.cameras}, tuple(steps))
+
+
+@dataclass(frozen=True)
+class _Table:
+    """One camera's features by number of the point."""
+
+    pixels_px: dict[int, FloatArray]
+    xyz_m: dict[int, FloatArray]
+
+
+def _tables(data: Correspondences) -> dict[str, _Table]:
+    tables = {name: _Table({}, {}) for name in data.cameras}
+    for c, p, uv in zip(data.pixel_camera, data.pixel_point, data.pixels_px, strict=True):
+        tables[data.cameras[c]].pixels_px[int(p)] = uv
+    for c, p, xyz in zip(data.xyz_camera, data.xyz_point, data.xyz_m, strict=True):
+        tables[data.cameras[c]].xyz_m[int(p)] = xyz
+    return tables
+
+
+def _common(a: _Table, b: _Table) -> list[int]:
+    """Points that can place b from a: the most of 3D in a and pixel in b, the reverse, and 3D in both."""
+    return max(_shared(a.xyz_m, b.pixels_px), _shared(b.xyz_m, a.pixels_px), _shared(a.xyz_m, b.xyz_m), key=len)
+
+
+def _shared(a: dict[int, FloatArray], b: dict[int, FloatArray]) -> list[int]:
+    return sorted(a.keys() & b.keys())
+
+
+def _relative(
+    a: _Table, b: _Table, intrinsics_b: Intrinsics, intrinsics_a: Intrinsics, pair: str
+) -> tuple[FloatArray, str]:
+    """T_b_a and how it was found."""
+    forward, backward, both = _shared(a.xyz_m, b.pixels_px), _shared(b.xyz_m, a.pixels_px), _shared(a.xyz_m, b.xyz_m)
+    try:
+        if len(forward) >= max(len(backward), 4):
+            return _resect(a.xyz_m, b.pixels_px, forward, intrinsics_b, b.xyz_m)
+        if len(backward) >= 4:
+            T_a_b, method = _resect(b.xyz_m, a.pixels_px, backward, intrinsics_a, a.xyz_m)
+            return se3.inverse(T_a_b), method
+    except CalibrationError as error:
+        raise CalibrationError(f"{pair}: {error}") from None
+    points_a, points_b = (np.array([t.xyz_m[p] for p in both]) for t in (a, b))
+    if np.linalg.svd(points_a - points_a.mean(0), compute_uv=False)[1] < 1e-3:
+        raise CalibrationError(
+            f"{pair}: the {len(both)} common 3D points are collinear. Use points that are spread out"
+        )
+    return align.rigid(points_b, points_a), "rigid"
+
+
+def _resect(
+    xyz_a: dict[int, FloatArray],
+    pixels_b: dict[int, FloatArray],
+    shared: list[int],
+    intrinsics_b: Intrinsics,
+    xyz_b: dict[int, FloatArray],
+) -> tuple[FloatArray, str]:
+    points_a = np.array([xyz_a[p] for p in shared])
+    rays = camera.rays(intrinsics_b.vector, np.array([pixels_b[p] for p in shared]))
+    good = np.all(np.isfinite(rays), axis=1)
+    points_a, rays = points_a[good], rays[good]
+    s = np.linalg.svd(points_a - points_a.mean(axis=0), compute_uv=False)
+    if s[2] >= resection.MIN_FLATNESS * s[0] and len(points_a) >= resection.MIN_DLT_POINTS:
+        return resection.dlt(points_a, rays), "dlt"
+    normal, d = plane.fit(points_a)
+    x = np.cross(normal, [1.0, 0, 0] if abs(normal[0]) < 0.9 else [0, 1.0, 0])
+    x /= np.linalg.norm(x)
+    T_a_plane = se3.make(np.stack([x, np.cross(normal, x), normal], axis=1), normal * d)
+    on_plane = se3.transform(se3.inverse(T_a_plane), points_a)
+    poses, _ = resection.homography_pose(on_plane[:, :2], rays)
+    T_b_a = poses @ se3.inverse(T_a_plane)
+    seen = [p for p in shared if p in xyz_b]
+    if len(poses) > 1 and len(seen) >= 4:
+        pa, pb = np.array([xyz_a[p] for p in seen]), np.array([xyz_b[p] for p in seen])
+        spread = [np.median(np.linalg.norm(se3.transform(T, pa) - pb, axis=1)) for T in T_b_a]
+        return T_b_a[int(np.argmin(spread))], "homography"
+    return T_b_a[0], "homography"
+
+
+def _not_connected(
+    cameras: Sequence[str],
+    placed: dict[str, FloatArray],
+    options: list[tuple[int, str, str]],
+    params: InitializationParams,
+) -> CalibrationError:
+    rest = [name for name in cameras if name not in placed]
+    count, a, b = max(options, key=lambda option: option[0])
+    return CalibrationError(
+        f"cameras are not connected: {{{', '.join(placed)}}} and {{{', '.join(rest)}}} share at most {count} feature(s) "
+        f"with depth ({a} with {b}), {params.min_points} needed. Film {a} and {b} together, or any other pair across the two groups"
+    )

@@ -1,0 +1,109 @@
+"""Intrinsics of one camera from views of a board: Zhang's method, as OpenCV refines it.
+
+Views that do not fit are left out one by one, the worst first: a view goes while its RMS exceeds `max_view_ratio` times
+the median RMS of all. The third radial coefficient is freed where Akaike's criterion asks for it.
+
+References
+----------
+Z. Zhang: A flexible new technique for camera calibration, IEEE PAMI 22(11), 2000. The paper, section 7.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from rgbd_calib.errors import CalibrationError
+from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.types import Board, BoardView
+
+MAX_RELATIVE_SD = 0.05
+"""Above this standard deviation of a focal length, as a share of it, the views do not determine it."""
+
+
+@dataclass(frozen=True)
+class IntrinsicsParams:
+    min_views: int = 3
+    """Zhang's method needs three; ten or more with strong tilts are good."""
+    max_view_ratio: float = 3.0
+    min_outlier_px: float = 0.5
+    """A view with a smaller RMS than this is never left out."""
+
+
+@dataclass(frozen=True)
+class IntrinsicsResult:
+    """Intrinsics of one camera and what they rest on."""
+
+    intrinsics: Intrinsics
+    standard_deviation: FloatArray
+    """(9,) of fx, fy, cx, cy (px), k1, k2, p1, p2, k3; 0 for k3 where it is held at 0."""
+    rms_px: float
+    view_rms_px: dict[str, float]
+    """By frame, of the views that were used."""
+    dropped: dict[str, str]
+    """Why, by frame, of the views that were left out."""
+
+
+def calibrate_intrinsics(
+    views: Sequence[BoardView], board: Board, size: tuple[int, int], params: IntrinsicsParams | None = None
+) -> IntrinsicsResult:
+    """Intrinsics of the camera whose `views` these are, for images of `size` (width, height) px.
+
+    Raises
+    ------
+    CalibrationError
+        Too few views, or views that do not determine the focal length.
+    """
+    params = params or IntrinsicsParams()
+    camera = views[0].camera if views else "camera"
+    kept, dropped = list(views), dict[str, str]()
+    while True:
+        if len(kept) < params.min_views:
+            raise CalibrationError(
+                f"{camera}: {len(kept)} usable view(s) of the board for the intrinsics, {params.min_views} needed. "
+                "Film the board close, in all parts of the image, tilted up to 40 degrees both ways"
+            )
+        solution = _best_model(kept, board, size)
+        rms = solution[3]
+        worst = int(np.argmax(rms))
+        limit_px = max(params.max_view_ratio * float(np.median(rms)), params.min_outlier_px)
+        if rms[worst] <= limit_px:
+            break
+        dropped[kept[worst].frame] = f"RMS {rms[worst]:.2f} px, {limit_px:.2f} px allowed"
+        del kept[worst]
+    total, vector, sd, rms = solution
+    if not np.all(sd[:2] < MAX_RELATIVE_SD * vector[:2]):
+        raise CalibrationError(
+            f"{camera}: focal length {vector[0]:.0f} px known to {sd[0]:.0f} px only, from {len(kept)} views; "
+            f"{100 * MAX_RELATIVE_SD:.0f} % needed. Film the board tilted up to 40 degrees, both ways, not only square to the camera"
+        )
+    frames = [view.frame for view in kept]
+    intrinsics = Intrinsics(size[0], size[1], 1, 1, 0, 0).with_vector(vector)
+    return IntrinsicsResult(intrinsics, sd, total, dict(zip(frames, rms.tolist(), strict=True)), dropped)
+
+
+_Solution = tuple[float, FloatArray, FloatArray, FloatArray]
+
+
+def _best_model(views: list[BoardView], board: Board, size: tuple[int, int]) -> _Solution:
+    """Without and with k3; k3 stays where it lowers Akaike's criterion, n log(SSE / n) + 2 k."""
+    without, with_k3 = (_solve(views, board, size, flags) for flags in (cv2.CALIB_FIX_K3, 0))
+    n = 2 * sum(len(view.ids) for view in views)
+    return with_k3 if 2 * n * np.log(with_k3[0] / without[0]) + 2 < 0 else without
+
+
+def _solve(views: list[BoardView], board: Board, size: tuple[int, int], flags: int) -> _Solution:
+    corners_m = board.corners_m()
+    object_points = [corners_m[view.ids].astype(np.float32) for view in views]
+    image_points = [view.corners_px.astype(np.float32) for view in views]
+    rms, K, distortion, _, _, sd, _, per_view = cv2.calibrateCameraExtended(
+        object_points, image_points, size, None, None, flags=flags
+    )  # type: ignore[call-overload]
+    k1, k2, p1, p2, k3 = distortion.ravel()[:5]
+    sd = sd.ravel()
+    vector = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], k1, k2, p1, p2, k3])
+    return float(rms), vector, sd[:9], per_view.ravel()
