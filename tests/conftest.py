@@ -8,9 +8,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rgbd_calib.cli.main import main
+from rgbd_calib.geometry import se3, so3
+from rgbd_calib.geometry.camera import Intrinsics, rays
+from rgbd_calib.io.recording import CameraInfo, save_color, save_depth, write_dataset
+from rgbd_calib.io.rig import write_rig
+from rgbd_calib.types import Board, DepthBias, Rig, RigCamera
 
 
 @dataclass(frozen=True)
@@ -50,3 +56,55 @@ def real_data() -> Callable[[str], Path]:
         return path
 
     return folder
+
+
+@dataclass(frozen=True)
+class Tiny:
+    """A recording of 64x48 px of the plane normal . p = offset_m in the world, and the rig that made it.
+
+    C1 and C2 have distorted lenses, biased depth and two frames, of which C2 lacks the depth of the second; C3 has
+    colour only. Colours are one for each camera. Columns 0 to 15 of C1 see a second plane, half as far away.
+    """
+
+    recording: Path
+    rig_path: Path
+    rig: Rig
+    normal: np.ndarray
+    offset_m: float
+    colors_bgr: dict[str, tuple[int, int, int]]
+
+
+@pytest.fixture(scope="session")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> Tiny:
+    """A recording so small that a test may do anything with it; nobody writes into it."""
+    path = tmp_path_factory.mktemp("tiny") / "recording"
+    width, height = 64, 48
+    lens = Intrinsics(width, height, 60.0, 61.0, 31.3, 23.8, (0.05, -0.02, 0.001, -0.002, 0.003))
+    bias = DepthBias((0.01, 0.02), 0.3, 4.0, 0.001)
+    poses = {
+        "C1": np.eye(4),
+        "C2": se3.make(so3.exp(np.array([0.02, -0.4, 0.03])), np.array([0.6, 0.05, 0.1])),
+        "C3": se3.make(so3.exp(np.array([-0.1, 0.3, 0.0])), np.array([-0.5, 0.0, 0.1])),
+    }
+    biases = {"C1": bias, "C2": bias, "C3": None}
+    cameras = {n: RigCamera(lens, T, np.zeros((6, 6)), biases[n], {"sigma_2d_px": 0.3}) for n, T in poses.items()}
+    rig = Rig("C1", cameras, {"views": 2}, {"seed": 0})
+    normal, offset_m = np.array([0.1, -0.2, 0.9]) / np.linalg.norm([0.1, -0.2, 0.9]), 1.5
+    colors_bgr = {"C1": (10, 20, 200), "C2": (20, 200, 10), "C3": (200, 20, 10)}
+
+    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(float)
+    for name, T in poses.items():
+        directions = rays(lens.vector, pixels) @ T[:3, :3].T
+        z_m = (offset_m - normal @ T[:3, 3]) / (directions @ normal)
+        if name == "C1":
+            z_m[:, :16] /= 2
+        measured_m = (z_m - bias.coefficients[0]) / (1 + bias.coefficients[1])
+        for frame in ("000000", "000001"):
+            save_color(path, name, frame, np.full((height, width, 3), colors_bgr[name], np.uint8))
+            if name == "C1" or (name == "C2" and frame == "000000"):
+                save_depth(path, name, frame, np.rint(measured_m / 0.0005).astype(np.uint16))
+    write_dataset(
+        path, {name: CameraInfo(width, height, 0.0005) for name in poses}, Board(9, 6, 0.06), {"note": "kept"}
+    )
+    write_rig(path.parent / "rig.yaml", rig)
+    return Tiny(path, path.parent / "rig.yaml", rig, normal, offset_m, colors_bgr)

@@ -1,0 +1,125 @@
+"""One instant of a recording as one cloud: every camera's depth, its bias removed, in the world (paper, figure 11)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rgbd_calib.errors import CalibrationError
+from rgbd_calib.geometry import camera as lens
+from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.io.files import whole_file
+from rgbd_calib.io.recording import Recording
+from rgbd_calib.pipeline.rig_inputs import check_frame, common_cameras
+from rgbd_calib.types import Rig
+
+
+@dataclass(frozen=True)
+class FuseParams:
+    """What of a depth image is used."""
+
+    max_depth_m: float = np.inf
+    """Depth beyond this is left out."""
+    jump: float = 0.02
+    """A pixel that differs from one of its 8 neighbours by more than this share of its depth is left out: it lies on
+    an edge, where sensors put points between the two surfaces. 2 % is a slope of 85 degrees at f = 525 px, and more
+    than 6 sigma of a structured-light sensor (1.6e-3 z^2) below 2 m."""
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """What one camera adds to the fused cloud."""
+
+    camera: str
+    points_m: FloatArray
+    """(n, 3), metres, in the world."""
+    colors: np.ndarray
+    """(n, 3), uint8, R G B, from the colour image."""
+    dropped: dict[str, int]
+    """Pixels with a measurement that were left out, by reason."""
+
+
+def fullest_frame(recording: Recording, cameras: tuple[str, ...]) -> str:
+    """The frame that most of these cameras have depth in, the first where several do.
+
+    Raises
+    ------
+    CalibrationError
+        No camera has any depth.
+    """
+    counts = {frame: sum(recording.has_depth(c, frame) for c in cameras) for frame in recording.frames}
+    best = max(recording.frames, key=lambda frame: counts[frame])
+    if counts[best] == 0:
+        raise CalibrationError(
+            f"{recording.path}: cameras {', '.join(cameras)} have no depth images; a cloud is made of depth. "
+            "Record with depth"
+        )
+    return best
+
+
+def clouds_of(recording: Recording, rig: Rig, frame: str, params: FuseParams = FuseParams()) -> tuple[Cloud, ...]:
+    """One cloud for each camera that has depth in this frame, in the recording's order.
+
+    Raises
+    ------
+    ConfigError
+        No such frame, or the rig is not of this recording.
+    CalibrationError
+        No camera of the rig has depth in this frame.
+    """
+    cameras = common_cameras(recording, rig)
+    check_frame(recording, frame)
+    clouds = tuple(_cloud(recording, rig, name, frame, params) for name in cameras if recording.has_depth(name, frame))
+    if not clouds:
+        best = fullest_frame(recording, cameras)
+        raise CalibrationError(
+            f"{recording.path}: frame {frame}: none of {', '.join(cameras)} has depth in it; at least one is needed. "
+            f"Frame {best} has it"
+        )
+    return clouds
+
+
+def on_jump(depth_m: FloatArray, share: float) -> np.ndarray:
+    """Pixels (h, w), bool, that differ from one of their 8 neighbours by more than `share` of their depth."""
+    import cv2
+
+    z = np.nan_to_num(depth_m).astype(np.float32)
+    far = cv2.dilate(z, np.ones((3, 3), np.uint8))
+    near = -cv2.dilate(np.where(z > 0, -z, -np.inf).astype(np.float32), np.ones((3, 3), np.uint8))
+    return (z > 0) & (np.maximum(far - z, z - near) > share * z)
+
+
+def write_ply(path: Path, points_m: FloatArray, colors: np.ndarray) -> None:
+    """Write points (n, 3), metres, with colours (n, 3), uint8, as binary PLY."""
+    import open3d as o3d
+
+    cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor(np.ascontiguousarray(points_m, np.float32)))
+    cloud.point.colors = o3d.core.Tensor(np.ascontiguousarray(colors, np.uint8))
+    with whole_file(path) as temporary:
+        if not o3d.t.io.write_point_cloud(str(temporary), cloud):
+            raise CalibrationError(f"{path}: could not be written. Is the disk full?")
+
+
+def _cloud(recording: Recording, rig: Rig, name: str, frame: str, params: FuseParams) -> Cloud:
+    camera = rig.cameras[name]
+    depth_m = recording.depth_m(name, frame)
+    measured = np.isfinite(depth_m)
+    jump = on_jump(depth_m, params.jump)
+    z_m = depth_m if camera.depth_bias is None else camera.depth_bias.correct(depth_m)
+    far = measured & ~jump & (z_m > params.max_depth_m)
+    v, u = np.nonzero(measured & ~jump & ~far)
+    p_color = lens.unproject(camera.intrinsics.vector, np.stack([u, v], axis=1).astype(float), z_m[v, u])
+    seen = np.isfinite(p_color).all(axis=1)
+    if frame in recording.color_files[name]:
+        colors = recording.color(name, frame)[v, u, ::-1]
+    else:
+        colors = np.full((len(u), 3), 128, np.uint8)
+    dropped = {
+        "edge": int(np.count_nonzero(jump)),
+        "too far": int(np.count_nonzero(far)),
+        "beyond the lens model": int(np.count_nonzero(~seen)),
+    }
+    return Cloud(name, se3.transform(camera.T_world_color, p_color[seen]), colors[seen], dropped)

@@ -1,0 +1,56 @@
+"""A recording and a rig that are to be used together: which cameras both have, and whether they fit."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+
+from rgbd_calib.errors import ConfigError
+from rgbd_calib.io.recording import Recording
+from rgbd_calib.types import Rig
+
+
+def common_cameras(recording: Recording, rig: Rig) -> tuple[str, ...]:
+    """Cameras that the recording and the rig share, in the recording's order.
+
+    Raises
+    ------
+    ConfigError
+        None is shared, or a camera's images have another size than its intrinsics are for.
+    """
+    shared = tuple(name for name in recording.cameras if name in rig.cameras)
+    if not shared:
+        raise ConfigError(
+            f"{recording.path}: cameras {', '.join(recording.cameras)} seen, the rig has {', '.join(rig.cameras)}; "
+            "at least one in common is needed. Is it the rig of this recording?"
+        )
+    for name in shared:
+        info, lens = recording.cameras[name], rig.cameras[name].intrinsics
+        if (info.width, info.height) != (lens.width, lens.height):
+            raise ConfigError(
+                f"{recording.path}: camera {name}: images of {info.width}x{info.height} px, the rig's intrinsics are "
+                f"for {lens.width}x{lens.height}; the same size is needed. Calibrate at the size that you record"
+            )
+    return shared
+
+
+def left_out(recording: Recording, rig: Rig) -> str:
+    """Sentence that names the cameras which only the recording or only the rig has; empty where there are none."""
+    parts = []
+    for names, others, where in (
+        (recording.cameras, rig.cameras, "not in the rig"),
+        (rig.cameras, recording.cameras, "not in the recording"),
+    ):
+        missing = [name for name in names if name not in others]
+        if missing:
+            parts.append(f"{', '.join(missing)} {where}")
+    return f"Left out: {'; '.join(parts)}" if parts else ""
+
+
+def check_frame(recording: Recording, frame: str) -> None:
+    """Raise ConfigError, with the nearest name, unless a camera of the recording has the frame."""
+    if frame not in recording.frames:
+        near = get_close_matches(frame, recording.frames, 1, 0.0)
+        raise ConfigError(
+            f"{recording.path}: frame '{frame}' is not there; {len(recording.frames)} frames from "
+            f"{recording.frames[0]} to {recording.frames[-1]}. Did you mean '{near[0]}'?"
+        )
