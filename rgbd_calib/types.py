@@ -97,6 +97,12 @@ class PlacedView:
         ids = board.n_corners - 1 - self.view.ids if self.turned else self.view.ids
         return board.corners_m(self.back)[ids]
 
+    def front_corner(self, board: Board) -> IntArray:
+        """Number (n,) of the front's corner at, or behind, each corner of the view."""
+        ids = board.n_corners - 1 - self.view.ids if self.turned else self.view.ids
+        r, c = np.divmod(ids, board.cols)
+        return r * board.cols + (board.cols - 1 - c if self.back else c)
+
 
 @dataclass(frozen=True)
 class DepthBias:

@@ -1,0 +1,93 @@
+"""Every setting of a calibration with its default, in one place; YAML over the defaults, the command line over both."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import TypeAdapter, ValidationError
+
+from rgbd_calib.errors import ConfigError
+from rgbd_calib.io.files import load_yaml
+from rgbd_calib.stages.association import AssociationParams
+from rgbd_calib.stages.board_pose import BoardPoseParams
+from rgbd_calib.stages.depth_bias import DepthBiasParams
+from rgbd_calib.stages.detect import DetectParams
+from rgbd_calib.stages.initialization import InitializationParams
+from rgbd_calib.stages.intrinsics import IntrinsicsParams
+from rgbd_calib.stages.plane_filter import PlaneFilterParams
+from rgbd_calib.stages.refinement import RefinementParams
+
+Method = Literal["init", "ba", "icp", "baicp+", "biobjective"]
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings of the whole calibration, a section for each stage."""
+
+    method: Method = "biobjective"
+    reference: str | None = None
+    """Camera whose frame is the world; None: the first of dataset.yaml."""
+    seed: int = 0
+    detect: DetectParams = field(default_factory=DetectParams)
+    intrinsics: IntrinsicsParams = field(default_factory=IntrinsicsParams)
+    depth_bias: DepthBiasParams = field(default_factory=DepthBiasParams)
+    plane_filter: PlaneFilterParams = field(default_factory=PlaneFilterParams)
+    board_pose: BoardPoseParams = field(default_factory=BoardPoseParams)
+    association: AssociationParams = field(default_factory=AssociationParams)
+    initialization: InitializationParams = field(default_factory=InitializationParams)
+    refinement: RefinementParams = field(default_factory=RefinementParams)
+
+
+def load_config(path: Path | None, **over: Any) -> Config:
+    """The configuration in a YAML file (None: the defaults), with the given values over it; None leaves a value be.
+
+    Keys of `over` name nested settings with two underscores, as ``refinement__sigma_2d_px=0.3``.
+
+    Raises
+    ------
+    ConfigError
+        An unknown key (with a suggestion), or a value that does not fit.
+    """
+    data = {} if path is None else load_yaml(path)
+    where = str(path) if path else "configuration"
+    _check_keys(Config, data, where, "")
+    for key, value in over.items():
+        if value is not None:
+            *sections, last = key.split("__")
+            into = data
+            for section in sections:
+                into = into.setdefault(section, {})
+            into[last] = value
+    try:
+        return TypeAdapter(Config).validate_python(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise ConfigError(f"{where}: {key}: {first['input']!r} seen; {first['msg']}") from None
+
+
+def as_plain(config: Config) -> dict[str, Any]:
+    """The configuration as nested plain values, to be written beside the result."""
+    return asdict(config)
+
+
+def with_method(config: Config, method: Method) -> Config:
+    """The same settings for another estimator."""
+    return replace(config, method=method)
+
+
+def _check_keys(section: type, data: Any, where: str, prefix: str) -> None:
+    if not isinstance(data, dict):
+        raise ConfigError(f"{where}: {prefix.rstrip('.')}: {data!r} seen, a section of keys needed")
+    known = {f.name: f for f in fields(section)}
+    for key, value in data.items():
+        if key not in known:
+            near = get_close_matches(str(key), known, 1)
+            hint = f"Did you mean '{prefix}{near[0]}'?" if near else f"Known: {', '.join(known)}"
+            raise ConfigError(f"{where}: {prefix}{key}: no such setting. {hint}")
+        factory = known[key].default_factory
+        if is_dataclass(factory):
+            _check_keys(factory, value, where, f"{prefix}{key}.")

@@ -1,0 +1,201 @@
+"""How good a rig is: against the truth of a simulation, or against a recording that it was not made from.
+
+Alignment is what users see: the distance between the places where two cameras put the same point, each by its own
+pixel and its own depth, through its own intrinsics, depth bias and pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from rgbd_calib.errors import CalibrationError, ConfigError
+from rgbd_calib.geometry import camera, se3, so3
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.types import Board, PlacedView, Rig
+
+GRID = 12
+"""Points along each side of the working volume."""
+NEAR_M, FAR_M = 1.0, 3.0
+"""Depths of the working volume where no board says where it is."""
+
+
+@dataclass(frozen=True)
+class PairAlignment:
+    """Distances between where two cameras put the same points, metres."""
+
+    cameras: tuple[str, str]
+    distance_m: FloatArray
+    """(n,)."""
+    depth_m: FloatArray
+    """(n,), mean depth of the point in the two cameras."""
+    transfer_px: FloatArray
+    """(n,), against a recording: error of the board posed by one camera and projected into the other; else empty."""
+
+
+@dataclass(frozen=True)
+class PoseError:
+    """The paper's measures, section 6.1."""
+
+    rotation_rad: float
+    translation_m: float
+    relative_translation: float
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    pairs: tuple[PairAlignment, ...]
+    poses: dict[str, PoseError]
+    """By camera, against the truth; empty against a recording."""
+
+    @property
+    def distance_m(self) -> FloatArray:
+        """Distances of all pairs together, metres."""
+        return np.concatenate([pair.distance_m for pair in self.pairs])
+
+
+def against_truth(rig: Rig, truth: Rig, boards: Mapping[str, FloatArray], board: Board | None) -> Evaluation:
+    """Errors of the poses, and alignment over the working volume.
+
+    Parameters
+    ----------
+    boards : T_world_board (4, 4) by frame; the working volume is the box that their corners fill, else what two
+        cameras see between `NEAR_M` and `FAR_M`.
+
+    Raises
+    ------
+    ConfigError
+        The rig has a camera that the truth has not.
+    CalibrationError
+        No point of the volume is seen by two cameras.
+    """
+    missing = [name for name in rig.cameras if name not in truth.cameras]
+    if missing:
+        raise ConfigError(
+            f"the truth has no camera {', '.join(missing)}; seen: {', '.join(truth.cameras)}. Is it of this rig?"
+        )
+    T_truth_world = truth.cameras[rig.reference].T_world_color @ se3.inverse(rig.cameras[rig.reference].T_world_color)
+    poses = {
+        name: _pose_error(T_truth_world @ rig.cameras[name].T_world_color, truth, name, rig.reference)
+        for name in rig.cameras
+        if name != rig.reference
+    }
+    points = _volume(truth, boards, board)
+    pairs = []
+    for a, b in combinations(rig.cameras, 2):
+        in_a, in_b = _observe(truth, a, points), _observe(truth, b, points)
+        seen = in_a.seen & in_b.seen
+        if seen.any():
+            places = [_place(rig, name, o.pixels_px[seen], o.raw_m[seen]) for name, o in ((a, in_a), (b, in_b))]
+            distance = np.linalg.norm(places[0] - places[1], axis=1)
+            pairs.append(PairAlignment((a, b), distance, (in_a.z_m + in_b.z_m)[seen] / 2, np.empty(0)))
+    if not pairs:
+        raise CalibrationError("no point of the working volume is seen by two cameras of the rig; nothing to compare")
+    return Evaluation(tuple(pairs), poses)
+
+
+def against_views(rig: Rig, placed: Sequence[PlacedView], board: Board) -> Evaluation:
+    """Alignment of corners that two cameras saw, by the depth that they measured, and the transfer error in px."""
+    by_frame: dict[str, list[PlacedView]] = {}
+    for view in placed:
+        by_frame.setdefault(view.view.frame, []).append(view)
+    found: dict[tuple[str, str], list[tuple[FloatArray, FloatArray, FloatArray]]] = {}
+    for frame in sorted(by_frame):
+        views = sorted(by_frame[frame], key=lambda view: view.view.camera)
+        for a, b in combinations(views, 2):
+            row = _compare(rig, a, b, board)
+            found.setdefault((a.view.camera, b.view.camera), []).append(row)
+    if not found:
+        raise CalibrationError(
+            "no frame shows the board to two cameras of the rig; nothing to compare. Film the board between two cameras"
+        )
+    pairs = [
+        PairAlignment(key, *(np.concatenate([row[k] for row in rows]) for k in range(3))) for key, rows in found.items()
+    ]
+    return Evaluation(tuple(pairs), {})
+
+
+@dataclass(frozen=True)
+class _Observed:
+    pixels_px: FloatArray
+    raw_m: FloatArray
+    """The depth that the sensor would report without noise."""
+    z_m: FloatArray
+    seen: np.ndarray
+
+
+def _pose_error(T_world_color: FloatArray, truth: Rig, name: str, reference: str) -> PoseError:
+    T_true = truth.cameras[name].T_world_color
+    baseline = float(np.linalg.norm(T_true[:3, 3] - truth.cameras[reference].T_world_color[:3, 3]))
+    shift = float(np.linalg.norm(T_world_color[:3, 3] - T_true[:3, 3]))
+    angle = float(so3.angle_rad(T_world_color[:3, :3].T @ T_true[:3, :3]))
+    return PoseError(angle, shift, shift / baseline if baseline > 0 else float("nan"))
+
+
+def _volume(truth: Rig, boards: Mapping[str, FloatArray], board: Board | None) -> FloatArray:
+    if boards and board is not None:
+        corners = np.concatenate([se3.transform(T, board.corners_m()) for T in boards.values()])
+    else:
+        corners = np.concatenate([_frustum(truth, name) for name in truth.cameras])
+    sides = [np.linspace(lo, hi, GRID) for lo, hi in zip(corners.min(axis=0), corners.max(axis=0), strict=True)]
+    return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _frustum(truth: Rig, name: str) -> FloatArray:
+    own = truth.cameras[name]
+    pixels = np.array([(u, v) for u in (0, own.intrinsics.width - 1) for v in (0, own.intrinsics.height - 1)], float)
+    rays = camera.rays(own.intrinsics.vector, pixels)
+    return se3.transform(own.T_world_color, np.concatenate([rays * NEAR_M, rays * FAR_M]))
+
+
+def _observe(truth: Rig, name: str, points_world: FloatArray) -> _Observed:
+    own = truth.cameras[name]
+    p = se3.transform(se3.inverse(own.T_world_color), points_world)
+    z = p[:, 2]
+    with np.errstate(all="ignore"):
+        pixels = camera.project(own.intrinsics.vector, p)
+        back = camera.unproject(own.intrinsics.vector, pixels, z)
+    inside = np.all((pixels >= 0) & (pixels <= [own.intrinsics.width - 1, own.intrinsics.height - 1]), axis=1)
+    seen = inside & (z > 0.3) & (z < FAR_M + 1) & (np.linalg.norm(back - p, axis=1) < 1e-6)
+    raw = z.copy()
+    if own.depth_bias is not None:
+        for _ in range(30):  # fixed point of raw + bias(raw) = z: the bias is small and smooth
+            raw = raw - (own.depth_bias.correct(raw) - z)
+    return _Observed(pixels, raw, z, seen)
+
+
+def _place(rig: Rig, name: str, pixels_px: FloatArray, raw_m: FloatArray) -> FloatArray:
+    own = rig.cameras[name]
+    z_m = raw_m if own.depth_bias is None else own.depth_bias.correct(raw_m)
+    return se3.transform(own.T_world_color, camera.unproject(own.intrinsics.vector, pixels_px, z_m))
+
+
+def _compare(rig: Rig, a: PlacedView, b: PlacedView, board: Board) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Distances, depths and transfer errors of the corners that both saw (of the same physical corner)."""
+    number_a, number_b = a.front_corner(board), b.front_corner(board)
+    _, ia, ib = np.intersect1d(number_a, number_b, return_indices=True)
+    places = []
+    for placed, index in ((a, ia), (b, ib)):
+        p = _place(rig, placed.view.camera, placed.view.corners_px[index], placed.view.depth_m[index])
+        on_board = placed.points_m(board)[index]
+        to_front = se3.transform(placed.T_color_board, on_board * [1, 1, 0]) - se3.transform(
+            placed.T_color_board, on_board
+        )
+        places.append(p + to_front @ rig.cameras[placed.view.camera].T_world_color[:3, :3].T)
+    distance = np.linalg.norm(places[0] - places[1], axis=1)
+    depth = (a.view.depth_m[ia] + b.view.depth_m[ib]) / 2
+    finite = np.isfinite(distance)
+    transfer = np.concatenate([_transfer(rig, a, b, board), _transfer(rig, b, a, board)])
+    return distance[finite], depth[finite], transfer
+
+
+def _transfer(rig: Rig, source: PlacedView, target: PlacedView, board: Board) -> FloatArray:
+    """Board posed by the pixels of `source`, projected into `target`: errors (n,) px of its corners."""
+    T_world_board = rig.cameras[source.view.camera].T_world_color @ source.T_color_board
+    T_color_board = se3.inverse(rig.cameras[target.view.camera].T_world_color) @ T_world_board
+    vector = rig.cameras[target.view.camera].intrinsics.vector
+    pixels = camera.project(vector, se3.transform(T_color_board, target.points_m(board)))
+    return np.linalg.norm(pixels - target.view.corners_px, axis=1)

@@ -1,0 +1,183 @@
+"""What a calibration needs of each camera before the poses: intrinsics and depth biases, from files or recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rgbd_calib.errors import CalibrationError, ConfigError
+from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.io.recording import Recording, open_recording
+from rgbd_calib.io.rig import read_depth_bias, read_intrinsics
+from rgbd_calib.pipeline.config import Config
+from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
+from rgbd_calib.stages.board_pose import pose_view
+from rgbd_calib.stages.depth_bias import DepthBiasFit, fit_with_data
+from rgbd_calib.stages.intrinsics import IntrinsicsResult, calibrate_intrinsics
+from rgbd_calib.stages.wall import wall_depth
+from rgbd_calib.types import BoardView, DepthBias
+
+
+def intrinsics_of_views(
+    recording: Recording, detections: Detections, config: Config, cameras: Sequence[str] | None = None
+) -> dict[str, IntrinsicsResult]:
+    """Intrinsics of each camera from its own views of the board.
+
+    Raises
+    ------
+    CalibrationError
+        A camera has too few views, or views that do not determine its focal length.
+    """
+    board = board_of(recording)
+    out = {}
+    for name in cameras or recording.cameras:
+        info, views = recording.cameras[name], detections.of(name)
+        if not views:
+            raise CalibrationError(
+                f"{name}: the board was found in none of its {len(recording.color_files[name])} images of {recording.path}, "
+                f"{config.intrinsics.min_views} views needed for the intrinsics. Film the board close, or give --intrinsics FILE"
+            )
+        out[name] = calibrate_intrinsics(views, board, (info.width, info.height), config.intrinsics)
+    return out
+
+
+@dataclass(frozen=True)
+class IntrinsicsSource:
+    """Intrinsics by camera, where they are from, and the views that they rest on (none from a file)."""
+
+    intrinsics: dict[str, Intrinsics]
+    origin: str
+    results: dict[str, IntrinsicsResult]
+    views: tuple[BoardView, ...]
+
+
+def resolve_intrinsics(
+    source: Path | None, recording: Recording, detections: Detections, config: Config, progress: Progress = silent
+) -> IntrinsicsSource:
+    """Intrinsics from a file or an intrinsic recording; else from dataset.yaml; else from the recording's own views."""
+    cameras = list(recording.cameras)
+    if source is not None and source.is_dir():
+        other = open_recording(source)
+        _need(source, "images", cameras, other.cameras)
+        found = detect(other, config.detect, progress=progress)
+        results = intrinsics_of_views(other, found, config, cameras)
+        given = {name: result.intrinsics for name, result in results.items()}
+        return IntrinsicsSource(given, str(source), results, found.views)
+    if source is not None:
+        given = read_intrinsics(source)
+        _need(source, "intrinsics", cameras, given)
+        for name in cameras:
+            _check_size(source, name, given[name], recording)
+        return IntrinsicsSource({name: given[name] for name in cameras}, str(source), {}, ())
+    in_dataset = {name: info.intrinsics for name, info in recording.cameras.items() if info.intrinsics is not None}
+    own = [name for name in cameras if name not in in_dataset]
+    results = intrinsics_of_views(recording, detections, config, own) if own else {}
+    given = in_dataset | {name: result.intrinsics for name, result in results.items()}
+    origin = "dataset.yaml" if not own else "the recording's own views" + (" and dataset.yaml" if in_dataset else "")
+    return IntrinsicsSource({name: given[name] for name in cameras}, origin, results, ())
+
+
+def depth_bias_of_recording(
+    recording: Recording,
+    intrinsics: Mapping[str, Intrinsics],
+    config: Config,
+    detections: Detections | None = None,
+    progress: Progress = silent,
+) -> dict[str, DepthBiasFit]:
+    """Depth bias of each camera that has depth: from distances.csv, else from the board's pose by pixels.
+
+    Raises
+    ------
+    CalibrationError
+        Too few distances, over too short a range, or neither distances nor intrinsics.
+    """
+    out = {}
+    for name in recording.cameras:
+        if not recording.depth_files[name]:
+            continue
+        distances = recording.distances_m(name)
+        if distances:
+            z_m, z_true_m = _wall_pairs(recording, name, distances, intrinsics.get(name), progress)
+        else:
+            if name not in intrinsics:
+                raise ConfigError(
+                    f"{recording.path}: {name} has no distances.csv, so that the true depth must come from the board's pose, "
+                    "and for this the camera's intrinsics are needed. Give --intrinsics, or write distances.csv"
+                )
+            detections = detections or detect(recording, config.detect, progress=progress)
+            z_m, z_true_m = _board_pairs(detections.of(name), recording, intrinsics[name])
+        out[name] = fit_with_data(z_m, z_true_m, config.depth_bias, camera=name)
+    if not out:
+        raise CalibrationError(f"{recording.path}: no camera has depth images; nothing to correct. Record depth too")
+    return out
+
+
+def resolve_depth_bias(
+    source: Path | None, recording: Recording, intrinsics: Mapping[str, Intrinsics], config: Config, progress: Progress
+) -> tuple[dict[str, DepthBias], str]:
+    """Depth biases by camera, from a file or a bias recording, and where they are from; none without a source."""
+    if source is None:
+        return {}, "none"
+    cameras = [name for name in recording.cameras if recording.depth_files[name]]
+    if source.is_dir():
+        fits = depth_bias_of_recording(open_recording(source), intrinsics, config, progress=progress)
+        given = {name: fit.bias for name, fit in fits.items()}
+    else:
+        given = read_depth_bias(source)
+    _need(source, "depth_bias", cameras, given)
+    return {name: given[name] for name in cameras}, str(source)
+
+
+def _wall_pairs(
+    recording: Recording, name: str, distances: dict[str, float], intrinsics: Intrinsics | None, progress: Progress
+) -> tuple[np.ndarray, np.ndarray]:
+    info = recording.cameras[name]
+    centre = (intrinsics.cx, intrinsics.cy) if intrinsics else ((info.width - 1) / 2, (info.height - 1) / 2)
+    rows = []
+    for frame in progress(sorted(distances), len(distances), f"{name}: wall"):
+        if not recording.has_depth(name, frame):
+            raise ConfigError(
+                f"{recording.path / name / 'distances.csv'}: frame {frame} has no depth image. Record it, or take the line out"
+            )
+        rows.append((wall_depth(recording.depth_m(name, frame), centre), distances[frame]))
+    pairs = np.array([row for row in rows if np.isfinite(row[0])]).reshape(-1, 2)
+    return pairs[:, 0], pairs[:, 1]
+
+
+def _board_pairs(
+    views: Sequence[BoardView], recording: Recording, intrinsics: Intrinsics
+) -> tuple[np.ndarray, np.ndarray]:
+    """One pair a view: corners of one view share the error of its pose."""
+    board = board_of(recording)
+    pairs = []
+    for view in views:
+        measured = np.isfinite(view.depth_m)
+        if measured.sum() >= board.n_corners // 2:
+            posed = pose_view(view, board, intrinsics, None)
+            z = se3.transform(posed.T_color_face, board.corners_m()[view.ids])[:, 2]
+            pairs.append((1 / np.median(1 / view.depth_m[measured]), 1 / np.median(1 / z[measured])))
+    table = np.array(pairs).reshape(-1, 2)
+    return table[:, 0], table[:, 1]
+
+
+def _need(source: Path, what: str, cameras: Sequence[str], given: Mapping[str, Any]) -> None:
+    missing = [name for name in cameras if name not in given]
+    if missing:
+        raise ConfigError(
+            f"{source}: no {what} of {', '.join(missing)}; seen: {', '.join(given)}; every camera of the recording is needed. "
+            "Add it, or take the camera out of dataset.yaml"
+        )
+
+
+def _check_size(source: Path, name: str, intrinsics: Intrinsics, recording: Recording) -> None:
+    info = recording.cameras[name]
+    if (intrinsics.width, intrinsics.height) != (info.width, info.height):
+        raise ConfigError(
+            f"{source}: {name}: intrinsics for {intrinsics.width}x{intrinsics.height} px, the recording has "
+            f"{info.width}x{info.height}; the same size is needed. Calibrate the camera at this size"
+        )

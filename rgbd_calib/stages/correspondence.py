@@ -1,0 +1,72 @@
+"""Views of boards become correspondences: the same corner in the same frame is the same point for every camera.
+
+A corner seen from the back lies `thickness` behind the front's. Its pixel and its 3D point are carried through the
+board, by the board's pose in that view: a shift of at most a pixel or so, known to a hundredth of itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rgbd_calib.geometry import camera, se3
+from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.types import Board, Correspondences, DepthBias, IntArray, PlacedView
+
+
+def correspond(
+    views: Sequence[PlacedView],
+    board: Board,
+    intrinsics: dict[str, Intrinsics],
+    biases: dict[str, DepthBias],
+    cameras: Sequence[str],
+) -> Correspondences:
+    """Correspondences of all corners that two cameras or more see; frames seen by one camera alone are left out."""
+    per_frame: dict[str, int] = {}
+    for placed in views:
+        per_frame[placed.view.frame] = per_frame.get(placed.view.frame, 0) + 1
+    shared = [placed for placed in views if per_frame[placed.view.frame] >= 2]
+    labels: dict[tuple[str, str], int] = {}
+    columns: list[tuple[IntArray, IntArray, FloatArray, FloatArray]] = []
+    for placed in shared:
+        name = placed.view.camera
+        pixels_px, points_m = _on_front(placed, board, intrinsics[name], biases.get(name))
+        numbers = [
+            labels.setdefault((placed.view.frame, str(k)), len(labels)) for k in placed.front_corner(board).tolist()
+        ]
+        columns.append((np.full(len(numbers), cameras.index(name)), np.array(numbers), pixels_px, points_m))
+    camera_of, point_of, pixels, points = (
+        np.concatenate([column[k] for column in columns]) if columns else np.empty((0, 2)) for k in range(4)
+    )
+    seen_twice = np.bincount(point_of, minlength=len(labels))[point_of] >= 2  # parts of a ChArUco board differ
+    has_depth = np.isfinite(points[:, 2]) & seen_twice
+    return Correspondences(
+        tuple(cameras),
+        tuple(labels),
+        camera_of[seen_twice],
+        point_of[seen_twice],
+        pixels[seen_twice],
+        camera_of[has_depth],
+        point_of[has_depth],
+        points[has_depth],
+    )
+
+
+def _on_front(
+    placed: PlacedView, board: Board, intrinsics: Intrinsics, bias: DepthBias | None
+) -> tuple[FloatArray, FloatArray]:
+    """Pixels (n, 2) and measured points (n, 3), metres, NaN without depth, as if the front had been seen."""
+    view, vector = placed.view, intrinsics.vector
+    z_m = view.depth_m if bias is None else bias.correct(view.depth_m)
+    points_m = camera.unproject(vector, view.corners_px, z_m)
+    if not placed.back or board.thickness_m == 0:
+        return view.corners_px, points_m
+    on_back = placed.points_m(board)
+    on_front = on_back * [1, 1, 0]
+    p_back, p_front = (se3.transform(placed.T_color_board, p) for p in (on_back, on_front))
+    return (
+        view.corners_px + camera.project(vector, p_front) - camera.project(vector, p_back),
+        points_m + p_front - p_back,
+    )
