@@ -1,0 +1,317 @@
+"""One OpenNI2 device behind a few methods; only this module and `openni2` see the binding.
+
+Its traps, kept from everybody else: names are bytes; the serial number has no helper; registration can be set only
+after a depth stream exists; `read_frame` on a silent stream never returns, so a frame is always waited for first; a
+device that is closed before its streams crashes the process.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rgbd_calib.errors import CalibrationError
+from rgbd_calib.sensors.frames import SensorFrame
+from rgbd_calib.sensors.usb import UsbPlace, usb_place
+
+WIDTH, HEIGHT, FPS = 640, 480, 30
+EMITTER_STATE = 0x1080E007
+"""XN_MODULE_PROPERTY_EMITTER_STATE of PS1080.h: the infrared projector."""
+
+_SERIAL, _FIRMWARE = 3, 0
+_CLOSE_PAUSE_S = 0.05  # between stopping and closing streams: the runtime's threads need it
+
+
+@dataclass(frozen=True)
+class DeviceSettings:
+    """What a device says of itself and of its streams, read back after it was set up."""
+
+    uri: str
+    name: str
+    vendor: str
+    serial: str | None
+    firmware: str | None
+    usb_path: str | None
+    usb_controller: str | None
+    color_mode: str
+    depth_mode: str
+    registered: bool
+    mirrored: bool
+    horizontal_fov_rad: float
+    vertical_fov_rad: float
+
+
+class Device:
+    """An open device with one colour and one depth stream."""
+
+    def __init__(self, binding: Any, handle: Any) -> None:
+        self._binding = binding
+        self._handle = handle
+        self._color: Any = None
+        self._depth: Any = None
+        self._running = False
+        self.uri: str = handle.uri.decode()
+        self.name: str = handle.device_info.name.decode()
+        self.vendor: str = handle.device_info.vendor.decode()
+        self.serial = self._text_property(_SERIAL)
+        self.firmware = self._text_property(_FIRMWARE)
+        self.place: UsbPlace | None = usb_place(self.uri)
+
+    @property
+    def is_file(self) -> bool:
+        return bool(self._handle.is_file())
+
+    @property
+    def usb_path(self) -> str:
+        """The port it hangs on; its uri where the port is not known."""
+        return self.place.path if self.place else self.uri
+
+    def modes(self) -> list[str]:
+        """Video modes of both streams, such as `color 640x480@30 RGB888`."""
+        found = []
+        for kind, sensor in (("color", self._binding.SENSOR_COLOR), ("depth", self._binding.SENSOR_DEPTH)):
+            info = self._handle.get_sensor_info(sensor)
+            found += [f"{kind} {_mode_text(mode)}" for mode in (info.videoModes if info else [])]
+        return found
+
+    def create_streams(self) -> None:
+        """Make both streams, the depth one first: registration needs it.
+
+        Raises
+        ------
+        CalibrationError
+            The device lacks one of them.
+        """
+        self._depth = self._stream("depth")
+        self._color = self._stream("color")
+
+    def configure(self, allow_unregistered: bool = False) -> DeviceSettings:
+        """VGA at 30 fps, depth registered to colour, mirroring off; set, read back and checked.
+
+        Raises
+        ------
+        CalibrationError
+            The device refuses one of them, or says that it took it and did not.
+        """
+        b = self._binding
+        self.create_streams()
+        self._set(
+            "video mode",
+            lambda: self._depth.configure_mode(WIDTH, HEIGHT, FPS, b.PIXEL_FORMAT_DEPTH_1_MM),
+            f"depth {WIDTH}x{HEIGHT} at {FPS} fps in millimetres",
+        )
+        self._set(
+            "video mode",
+            lambda: self._color.configure_mode(WIDTH, HEIGHT, FPS, b.PIXEL_FORMAT_RGB888),
+            f"RGB888 colour {WIDTH}x{HEIGHT} at {FPS} fps",
+        )
+        for stream in (self._depth, self._color):
+            self._set("mirroring", lambda s=stream: s.set_mirroring_enabled(False), "pictures that are not mirrored")
+        registered = self._register(allow_unregistered)
+        settings = self.settings(registered)
+        if settings.mirrored:
+            raise CalibrationError(
+                f"{self.label}: pictures stay mirrored after mirroring was switched off; a calibration needs them as seen. "
+                "Replug the device, or update its firmware"
+            )
+        for kind, stream in (("color", self._color), ("depth", self._depth)):
+            mode = stream.video_mode
+            if (mode.resolutionX, mode.resolutionY, mode.fps) != (WIDTH, HEIGHT, FPS):
+                raise CalibrationError(
+                    f"{self.label}: the {kind} stream stays at {_mode_text(mode)}, {WIDTH}x{HEIGHT}@{FPS} needed. "
+                    "Replug the device"
+                )
+        return settings
+
+    def settings(self, registered: bool) -> DeviceSettings:
+        """What the device and its streams say now."""
+        return DeviceSettings(
+            self.uri,
+            self.name,
+            self.vendor,
+            self.serial,
+            self.firmware,
+            self.place.path if self.place else None,
+            self.place.controller if self.place else None,
+            _mode_text(self._color.video_mode),
+            _mode_text(self._depth.video_mode),
+            registered,
+            self._color.mirroring_enabled or self._depth.mirroring_enabled,
+            float(self._color.get_horizontal_fov()),
+            float(self._color.get_vertical_fov()),
+        )
+
+    @property
+    def label(self) -> str:
+        """How messages name it."""
+        return f"{self.uri} (serial {self.serial or 'unknown'})"
+
+    def start(self) -> None:
+        """Start both streams.
+
+        Raises
+        ------
+        CalibrationError
+            The runtime refuses.
+        """
+        for kind, stream in (("depth", self._depth), ("color", self._color)):
+            try:
+                stream.start()
+            except self._binding.OpenNIError as error:
+                raise CalibrationError(
+                    f"{self.label}: the {kind} stream does not start ({reason(error)}). Both streams are needed: give the "
+                    "camera a USB 2.0 controller of its own (`lsusb -t`), and replug it"
+                ) from None
+        self._running = True
+
+    def wait_frame(self, timeout_s: float) -> SensorFrame | None:
+        """The next frame of either stream, copied; None where none comes in time. Call it from one thread only."""
+        stream = self._binding.wait_for_any_stream([self._color, self._depth], timeout_s)
+        if stream is None:
+            return None
+        frame = stream.read_frame()
+        try:
+            arrival_s = time.monotonic()
+            kind = "color" if stream is self._color else "depth"
+            pixels = _copy(frame, 3 if kind == "color" else 1)
+            return SensorFrame(kind, pixels, int(frame.timestamp), int(frame.frameIndex), arrival_s)
+        finally:
+            frame.close()
+
+    def lock_exposure(self) -> bool:
+        """Freeze exposure and white balance as they are now; False where the camera does not take it."""
+        camera = self._color.camera
+        if camera is None:
+            return False
+        try:
+            camera.auto_exposure = False
+            camera.auto_white_balance = False
+            return not (camera.auto_exposure or camera.auto_white_balance)
+        except self._binding.OpenNIError:
+            return False
+
+    def camera_settings(self) -> dict[str, Any]:
+        """Exposure and white balance as the camera reports them."""
+        camera = self._color.camera
+        if camera is None:
+            return {}
+        return {
+            "auto_exposure": camera.auto_exposure,
+            "auto_white_balance": camera.auto_white_balance,
+            "exposure": camera.exposure,
+            "gain": camera.gain,
+        }
+
+    def set_emitter(self, on: bool) -> None:
+        """Switch the infrared projector.
+
+        Raises
+        ------
+        CalibrationError
+            The device has no such switch.
+        """
+        try:
+            self._handle.set_property(EMITTER_STATE, int(on))
+        except self._binding.OpenNIError as error:
+            raise CalibrationError(
+                f"{self.label}: its infrared projector cannot be switched ({reason(error)}); --alternate-emitters needs that. "
+                "Record without it"
+            ) from None
+
+    def play_as_fast_as_read(self) -> None:
+        """Of a recorded file: each read brings the next frame, nothing is dropped, and the end is the end."""
+        self._handle.playback.repeat = False
+        self._handle.playback.speed = -1.0
+
+    def frame_count(self) -> dict[str, int]:
+        """Frames in a recorded file, by stream."""
+        return {"color": self._color.get_number_of_frames(), "depth": self._depth.get_number_of_frames()}
+
+    def is_mirrored(self) -> bool:
+        return bool(self._color.mirroring_enabled)
+
+    def close(self) -> None:
+        """Stop and close, streams before the device. No thread may be reading; calling it twice does nothing."""
+        if not self._handle:
+            return
+        streams = [s for s in (self._color, self._depth) if s is not None]
+        if self._running:
+            for stream in streams:
+                stream.stop()
+            self._running = False
+            time.sleep(_CLOSE_PAUSE_S)
+        for stream in streams:
+            stream.close()
+        self._handle.close()
+
+    def _stream(self, kind: str) -> Any:
+        b = self._binding
+        try:
+            made = self._handle.create_depth_stream() if kind == "depth" else self._handle.create_color_stream()
+        except b.OpenNIError as error:
+            raise CalibrationError(f"{self.label}: no {kind} stream ({reason(error)}). Replug the device") from None
+        if made is None:
+            raise CalibrationError(f"{self.label}: it has no {kind} sensor; an RGB-D camera needs both. Leave it out")
+        return made
+
+    def _register(self, allow_unregistered: bool) -> bool:
+        wanted = self._binding.IMAGE_REGISTRATION_DEPTH_TO_COLOR
+        seen = "it does not offer registration"
+        if self._handle.is_image_registration_mode_supported(wanted):
+            try:
+                self._handle.set_image_registration_mode(wanted)
+                if int(self._handle.get_image_registration_mode()) == int(wanted):
+                    return True
+                seen = "it stays off after it was switched on"
+            except self._binding.OpenNIError as error:
+                seen = reason(error)
+        if allow_unregistered:
+            return False
+        raise CalibrationError(
+            f"{self.label}: depth is not registered to colour ({seen}); a calibration needs it registered. "
+            "Replug or replace the camera, or record its colour alone with --allow-unregistered"
+        )
+
+    def _set(self, what: str, call: Any, needed: str) -> None:
+        try:
+            call()
+        except self._binding.OpenNIError as error:
+            raise CalibrationError(
+                f"{self.label}: {what} refused ({reason(error)}); needed: {needed}. "
+                "`rgbd-calib devices` lists what the camera offers"
+            ) from None
+
+    def _text_property(self, number: int) -> str | None:
+        try:
+            text: bytes = self._handle.get_property(number, ctypes.c_char * 256).value
+        except self._binding.OpenNIError:
+            return None
+        return text.decode(errors="replace").strip() or None
+
+
+def reason(error: Exception) -> str:
+    """What the runtime said, as one line of text."""
+    parts = [p.decode(errors="replace") if isinstance(p, bytes) else p for p in error.args]
+    text = next((p for p in parts[1:] if isinstance(p, str) and p.strip()), None) or str(parts[0])
+    return " ".join(text.split())
+
+
+def _copy(frame: Any, channels: int) -> np.ndarray:
+    """The pixels of a frame, copied: the runtime reuses its memory."""
+    size = (frame.height, frame.width, 3) if channels == 3 else (frame.height, frame.width)
+    dtype = np.uint8 if channels == 3 else np.uint16
+    rows = np.frombuffer(frame.get_buffer_as_uint8(), np.uint8, frame.stride * frame.height)
+    rows = rows.reshape(frame.height, frame.stride)[:, : frame.width * channels * np.dtype(dtype).itemsize]
+    return np.array(rows).view(dtype).reshape(size)
+
+
+def _mode_text(mode: Any) -> str:
+    from openni import _openni2
+
+    number = mode.pixelFormat.value
+    name = _openni2.OniPixelFormat._values_.get(number, str(number)).removeprefix("ONI_PIXEL_FORMAT_")
+    return f"{mode.resolutionX}x{mode.resolutionY}@{mode.fps} {name}"

@@ -1,0 +1,119 @@
+"""One thread for each device: reads both streams, pairs them, keeps the last frames, and notices silence."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import Protocol
+
+from rgbd_calib.sensors.clock import DeviceClock
+from rgbd_calib.sensors.frames import Kind, RgbdFrame, SensorFrame
+from rgbd_calib.sensors.pairing import ColorDepthPairer
+
+STALLED_AFTER_S = 1.0
+_WAIT_S = 0.2
+_JOIN_S = 2.0
+KEEP_PAIRS = 8
+"""Pairs kept for each device: enough to look back over two periods for the tightest frame set."""
+
+
+class FrameSource(Protocol):
+    """What a reader needs of a device."""
+
+    def wait_frame(self, timeout_s: float) -> SensorFrame | None: ...
+
+
+@dataclass(frozen=True)
+class ReaderCounts:
+    """What one device delivered so far."""
+
+    frames: dict[Kind, int]
+    lost: dict[Kind, int]
+    unpaired: dict[Kind, int]
+    pairs: int
+
+
+class DeviceReader:
+    """Reads one device for as long as it is open.
+
+    `fresh` is notified at every pair; readers of one rig share it.
+    """
+
+    def __init__(self, camera: str, device: FrameSource, fresh: threading.Condition, keep_depth: int = 1) -> None:
+        self.camera = camera
+        self._device = device
+        self._fresh = fresh
+        self._clock = DeviceClock()
+        self._pairer = ColorDepthPairer()
+        self._pairs: deque[RgbdFrame] = deque(maxlen=KEEP_PAIRS)
+        self._depths: deque[SensorFrame] = deque(maxlen=max(1, keep_depth))
+        self._frames: dict[Kind, int] = {"color": 0, "depth": 0}
+        self._n_pairs = 0
+        self._last_s: dict[Kind, float] = {"color": time.monotonic(), "depth": time.monotonic()}
+        self._failure: str | None = None
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"reader {camera}", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> bool:
+        """Ask the thread to end and wait for it; False where it hangs in the runtime."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(_JOIN_S)
+        return not self._thread.is_alive()
+
+    @property
+    def failure(self) -> str | None:
+        """Why the thread ended by itself, if it did."""
+        return self._failure
+
+    def silent_kinds(self) -> tuple[Kind, ...]:
+        """Streams that have delivered nothing for `STALLED_AFTER_S`."""
+        now_s = time.monotonic()
+        return tuple(kind for kind, last_s in self._last_s.items() if now_s - last_s > STALLED_AFTER_S)
+
+    def pairs(self) -> list[RgbdFrame]:
+        """The last pairs, oldest first."""
+        with self._fresh:
+            return list(self._pairs)
+
+    def depths_since(self, host_s: float) -> list[SensorFrame]:
+        """Depth frames kept that were exposed at `host_s` or later, oldest first."""
+        with self._fresh:
+            return [f for f in self._depths if self._clock.host_s(f.device_us) >= host_s]
+
+    def depth_host_s(self, frame: SensorFrame) -> float:
+        """Exposure time of a depth frame on the host's clock."""
+        return self._clock.host_s(frame.device_us)
+
+    def counts(self) -> ReaderCounts:
+        with self._fresh:
+            return ReaderCounts(dict(self._frames), dict(self._pairer.lost), dict(self._pairer.unpaired), self._n_pairs)
+
+    def _run(self) -> None:
+        try:
+            while not self._stop.is_set():
+                frame = self._device.wait_frame(_WAIT_S)
+                if frame is not None:
+                    self._take(frame)
+        except Exception as error:  # the runtime may raise anything when a device dies; the rig's watch reports it
+            self._failure = f"{type(error).__name__}: {error}"
+
+    def _take(self, frame: SensorFrame) -> None:
+        with self._fresh:
+            self._clock.observe(frame.device_us, frame.arrival_s)
+            self._last_s[frame.kind] = frame.arrival_s
+            self._frames[frame.kind] += 1
+            if frame.kind == "depth":
+                self._depths.append(frame)
+            pair = self._pairer.add(frame)
+            if pair is not None:
+                color, depth = pair
+                stamps = (self._clock.host_s(color.device_us), self._clock.host_s(depth.device_us))
+                self._pairs.append(RgbdFrame(self.camera, color, depth, *stamps))
+                self._n_pairs += 1
+            self._fresh.notify_all()

@@ -1,0 +1,46 @@
+"""Where a device hangs on the USB, by Linux's sysfs: its port outlives replugging, its address does not."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+SYSFS = Path("/sys/bus/usb/devices")
+_ADDRESS = re.compile(r"@(\d+)/(\d+)$")
+
+
+@dataclass(frozen=True)
+class UsbPlace:
+    """A port and the host controller behind it."""
+
+    path: str
+    """The kernel's name of the port, such as 1-1.2: bus 1, port 1, port 2 of the hub there."""
+    controller: str
+    """The host controller, such as 0000:00:14.0."""
+
+
+def usb_place(uri: str, sysfs: Path = SYSFS) -> UsbPlace | None:
+    """The place of a device with an OpenNI uri such as 1d27/0601@1/6 (bus 1, address 6); None where it is not known."""
+    address = _ADDRESS.search(uri)
+    if address is None or not sysfs.is_dir():
+        return None
+    for folder in sorted(sysfs.iterdir()):
+        try:
+            seen = ((folder / "busnum").read_text().strip(), (folder / "devnum").read_text().strip())
+        except OSError:
+            continue
+        if seen == (str(int(address[1])), str(int(address[2]))):
+            return UsbPlace(folder.name, (sysfs / f"usb{seen[0]}").resolve().parent.name)
+    return None
+
+
+def crowded_controllers(places: Mapping[str, UsbPlace | None]) -> dict[str, list[str]]:
+    """Host controllers with more than one of the devices: {controller: names of the devices}."""
+    found = defaultdict(list)
+    for name, place in places.items():
+        if place is not None:
+            found[place.controller].append(name)
+    return {controller: names for controller, names in found.items() if len(names) > 1}
