@@ -21,11 +21,16 @@ _KNOWN = ("intrinsics", "T_world_color", "rotation_wxyz", "translation_m", "cova
 
 def write_rig(path: Path, rig: Rig, boards: Mapping[str, FloatArray] | None = None) -> None:
     """Write a rig; `boards` (a simulation's truth) are T_world_board (4, 4) by frame."""
+    write_text(path, dump_yaml(rig_data(rig, boards)))
+
+
+def rig_data(rig: Rig, boards: Mapping[str, FloatArray] | None = None) -> dict[str, Any]:
+    """What a rig file holds, as a mapping."""
     cameras = {name: _camera_entry(camera) for name, camera in rig.cameras.items()}
     data: dict[str, Any] = {"format": "rgbd-calib/rig", "version": 1, "reference": rig.reference, "cameras": cameras}
     if boards is not None:
         data["boards"] = dict(boards)
-    write_text(path, dump_yaml(data | {"quality": rig.quality, "provenance": rig.provenance}))
+    return data | {"quality": rig.quality, "provenance": rig.provenance}
 
 
 def write_intrinsics(

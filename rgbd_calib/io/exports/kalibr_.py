@@ -1,0 +1,41 @@
+"""Kalibr's camchain.yaml: pinhole-radtan cameras, each posed against the one before.
+
+radtan is k1, k2, p1, p2: there is no k3. The chain starts at the reference camera; it has no world.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rgbd_calib.geometry import se3
+from rgbd_calib.io.exports.common import Export, Options, bias_note, refuse_lens
+from rgbd_calib.io.files import dump_yaml
+from rgbd_calib.types import Rig
+
+
+def export(rig: Rig, options: Options) -> Export:
+    """One YAML file; raises ConfigError where a camera has k3."""
+    refuse_lens(rig, "Kalibr", (True, True, True, True, False))
+    order = sorted(rig.cameras, key=lambda name: name != rig.reference)
+    chain = {}
+    for n, name in enumerate(order):
+        camera = rig.cameras[name]
+        lens = camera.intrinsics
+        entry = {
+            "camera_model": "pinhole",
+            "intrinsics": [lens.fx, lens.fy, lens.cx, lens.cy],
+            "distortion_model": "radtan",
+            "distortion_coeffs": list(lens.distortion[:4]),
+            "resolution": [lens.width, lens.height],
+            "rostopic": f"/{name}/color/image_raw",
+            "cam_overlaps": [other for other in range(len(order)) if other != n],
+        }
+        if n:
+            T_world_before = rig.cameras[order[n - 1]].T_world_color
+            entry["T_cn_cnm1"] = (se3.inverse(camera.T_world_color) @ T_world_before).tolist()
+        chain[f"cam{n}"] = entry
+    names = ", ".join(f"cam{n} is {name}" for n, name in enumerate(order))
+    notes = (f"Kalibr numbers the cameras: {names}", "cam_overlaps lists all other cameras")
+    if not np.array_equal(rig.cameras[order[0]].T_world_color, np.eye(4)):
+        notes += (f"Kalibr has no world: poses are relative to {order[0]}",)
+    return Export({"": f"# {names}\n{dump_yaml(chain)}"}, notes + bias_note(rig, "Kalibr"))
