@@ -1,0 +1,173 @@
+"""`rgbd-calib simulate`: recordings with known truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from rgbd_calib.cli import options
+
+
+@click.command("simulate")
+@click.argument("out", type=click.Path(path_type=Path))
+@click.option("--cameras", type=click.IntRange(2, 99), default=4, show_default=True, help="How many cameras.")
+@click.option(
+    "--layout",
+    type=click.Choice(["arc", "ring"]),
+    default="arc",
+    show_default=True,
+    help="Cameras side by side on an arc, or in a ring all round.",
+)
+@click.option(
+    "--frames",
+    type=click.IntRange(1, 1000),
+    default=None,
+    help="Poses of the board between the cameras.  [default: 30, or 8 for each camera where that is more]",
+)
+@click.option(
+    "--intrinsic-views",
+    type=click.IntRange(0, 1000),
+    default=20,
+    show_default=True,
+    help="Close views of the board for each camera.",
+)
+@click.option(
+    "--distances",
+    default="0.6,0.9,1.2,1.5,1.8,2.2,2.6,3.0,3.5,4.0",
+    show_default=True,
+    metavar="METRES,...",
+    help="Distances of the wall in depth_bias/; each is moved by up to 3 cm, as by hand.",
+)
+@click.option("--width", type=click.IntRange(160, 4096), default=640, show_default=True, help="Image width, px.")
+@click.option("--height", type=click.IntRange(120, 4096), default=480, show_default=True, help="Image height, px.")
+@click.option("--board", default="9x6", show_default=True, metavar="COLSxROWS", help="Inner corners of the board.")
+@click.option("--square", type=click.FloatRange(0.005, 0.5), default=0.060, show_default=True, help="Square, metres.")
+@click.option(
+    "--two-sided/--one-sided", default=True, show_default=True, help="The pattern on both faces, or on the front only."
+)
+@click.option(
+    "--thickness",
+    type=click.FloatRange(0.0, 0.05),
+    default=0.006,
+    show_default=True,
+    help="Thickness of the board, metres.",
+)
+@click.option(
+    "--sigma-grey",
+    type=click.FloatRange(0.0, 50.0),
+    default=1.5,
+    show_default=True,
+    help="Noise of the colour images at middle grey, steps of 255.",
+)
+@click.option(
+    "--blur",
+    type=click.FloatRange(0.0, 5.0),
+    default=0.6,
+    show_default=True,
+    help="Blur of the lenses, px (one sigma).",
+)
+@click.option(
+    "--depth-k",
+    type=click.FloatRange(0.0, 0.05),
+    default=0.0016,
+    show_default=True,
+    help="Depth noise: one sigma is k z^2, z in metres; not below what the steps of 1/8 px disparity make, 0.00084.",
+)
+@click.option("--no-bias", is_flag=True, help="Depth sensors without bias.")
+@click.option("--no-noise", is_flag=True, help="No noise and no blur at all, exact depth to the millimetre, no bias.")
+@options.seed_option
+@options.overwrite_option
+@options.jobs_option
+def command(
+    out: Path,
+    cameras: int,
+    layout: str,
+    frames: int | None,
+    intrinsic_views: int,
+    distances: str,
+    width: int,
+    height: int,
+    board: str,
+    square: float,
+    two_sided: bool,
+    thickness: float,
+    sigma_grey: float,
+    blur: float,
+    depth_k: float,
+    no_bias: bool,
+    no_noise: bool,
+    seed: int,
+    overwrite: bool,
+    jobs: int | None,
+) -> None:
+    """Render the recordings of a rig whose truth is known into the folder OUT.
+
+    A furnished room, cameras on an arc or in a ring, a checkerboard on a stand. Each camera has its own lens and its
+    own depth bias. The same options and seed give the same bytes.
+
+    \b
+    OUT/extrinsic         the board between the cameras
+    OUT/intrinsic         the board close to one camera at a time
+    OUT/depth_bias        a wall at known distances
+    OUT/truth.yaml        the true rig, and the board's pose in every frame
+    OUT/true_corners.csv  where every corner truly is in every image, and whether it can be seen
+
+    \b
+    Examples:
+      rgbd-calib simulate demo
+      rgbd-calib simulate ring8 --cameras 8 --layout ring --seed 3
+      rgbd-calib simulate clean --no-noise --frames 12
+    """  # noqa: D301
+    options.refuse_existing(out, overwrite)
+    cols, rows = _board_size(board)
+    wall_m = _distances(distances)
+
+    import os
+    import time
+
+    from rgbd_calib.io.files import whole_folder
+    from rgbd_calib.synthetic.depth_sensor import DepthNoise
+    from rgbd_calib.synthetic.recording import SimulationParams, simulate
+    from rgbd_calib.synthetic.render import ColorNoise
+    from rgbd_calib.types import Board
+
+    params = SimulationParams(
+        cameras=cameras,
+        layout=layout,  # type: ignore[arg-type]
+        frames=frames,
+        intrinsic_views=intrinsic_views,
+        distances_m=wall_m,
+        width=width,
+        height=height,
+        seed=seed,
+        board=Board(cols, rows, square, two_sided, thickness if two_sided else 0.0),
+        color_noise=ColorNoise(0.0, 0.0) if no_noise else ColorNoise(blur, sigma_grey),
+        depth_noise=DepthNoise(k_per_m=depth_k, ideal=no_noise),
+        bias=not (no_bias or no_noise),
+    )
+    begin = time.monotonic()
+    with whole_folder(out, overwrite) as folder:
+        counts = simulate(folder, params, jobs or os.cpu_count() or 1, options.progress)
+    options.say(
+        f"{out}: {cameras} cameras in {'a ring' if layout == 'ring' else 'an arc'}; "
+        + ", ".join(f"{name} {n} frames" for name, n in counts.items())
+        + f"; {time.monotonic() - begin:.0f} s"
+    )
+
+
+def _board_size(text: str) -> tuple[int, int]:
+    cols, _, rows = text.lower().partition("x")
+    if not (cols.isdigit() and rows.isdigit() and 3 <= int(cols) <= 40 and 3 <= int(rows) <= 40):
+        raise click.UsageError(f"--board: {text!r} seen; inner corners as COLSxROWS, 3 to 40 each, needed, such as 9x6")
+    return int(cols), int(rows)
+
+
+def _distances(text: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split(",") if part.strip())
+    except ValueError:
+        values = (-1.0,)
+    if any(not 0.3 <= v <= 10 for v in values):
+        raise click.UsageError(f"--distances: {text!r} seen; metres from 0.3 to 10 needed, such as 0.6,1.2,2.4")
+    return values
