@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from functools import wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from rgbd_calib.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rgbd_calib.types import Board
 
 T = TypeVar("T")
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -19,6 +23,46 @@ seed_option = click.option("--seed", type=int, default=0, show_default=True, hel
 jobs_option = click.option(
     "--jobs", type=click.IntRange(1), default=None, help="Processes to use.  [default: as many as there are cores]"
 )
+
+
+redist_option = click.option(
+    "--redist",
+    type=click.Path(path_type=Path),
+    help="Folder of the OpenNI2 runtime.  [default: OPENNI2_REDIST64, then the system's]",
+)
+
+
+def board_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """--board COLSxROWS --square M [--two-sided M], given to the command as `board`: call it for a Board or None."""
+
+    @click.option("--board", "board_size", metavar="COLSxROWS", help="Inner corners of the checkerboard, such as 9x6.")
+    @click.option("--square", type=float, metavar="M", help="Side of its squares, metres.")
+    @click.option(
+        "--two-sided", type=float, metavar="M", help="The print is on both faces of a board this thick, metres."
+    )
+    @wraps(command)
+    def with_board(
+        *args: Any, board_size: str | None, square: float | None, two_sided: float | None, **options: Any
+    ) -> Any:
+        return command(*args, board=lambda: parse_board(board_size, square, two_sided), **options)
+
+    return with_board
+
+
+def parse_board(size: str | None, square_m: float | None, thickness_m: float | None) -> Board | None:
+    """The board of the options, or None where none was given."""
+    from rgbd_calib.types import Board
+
+    if size is None and square_m is None and thickness_m is None:
+        return None
+    cols, x, rows = (size or "").lower().partition("x")
+    if not (x and cols.isdigit() and rows.isdigit() and min(int(cols), int(rows)) >= 2):
+        raise ConfigError(f"--board {size}: COLSxROWS of inner corners needed, such as 9x6")
+    if square_m is None or not 0.001 <= square_m <= 1:
+        raise ConfigError(f"--square {square_m}: the side of a square in metres needed, such as 0.06")
+    if thickness_m is not None and not 0 <= thickness_m <= 0.1:
+        raise ConfigError(f"--two-sided {thickness_m}: the board's thickness in metres needed, such as 0.006")
+    return Board(int(cols), int(rows), square_m, thickness_m is not None, thickness_m or 0.0)
 
 
 def output_option(what: str, required: bool = True) -> Decorator:
