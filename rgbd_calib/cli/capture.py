@@ -1,0 +1,193 @@
+"""`rgbd-calib capture`: record a rig."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+
+from rgbd_calib.cli.options import board_options, redist_option, say
+from rgbd_calib.errors import ConfigError
+
+
+@click.command()
+@click.argument("out", type=click.Path(path_type=Path))
+@board_options
+@click.option("--intrinsic", is_flag=True, help="One camera after the other, the board close in front of it.")
+@click.option("--depth-bias", is_flag=True, help="One camera after the other, a wall at known distances.")
+@click.option("--distances", metavar="M,M,...", help="With --depth-bias: the distances to go through, metres.")
+@click.option("--on-still", is_flag=True, help="Take a shot whenever the board is held still in a new pose.")
+@click.option("--interval", type=click.FloatRange(0), help="Seconds between shots.  [default: 0.5]")
+@click.option("--count", type=click.IntRange(1), help="Shots to take (of each camera, at each distance).")
+@click.option("--until-enough", is_flag=True, help="End when nothing is missing any more.")
+@click.option(
+    "--pairs-only", is_flag=True, help="Ask for common views of cameras only, not for coverage of each image."
+)
+@click.option(
+    "--depth-frames", type=click.IntRange(1, 100), default=1, show_default=True, help="Depth is the median of so many."
+)
+@click.option("--alternate-emitters", is_flag=True, help="One infrared projector at a time, against interference.")
+@click.option("--auto-exposure", is_flag=True, help="Leave exposure and white balance automatic.")
+@click.option(
+    "--device",
+    "devices",
+    multiple=True,
+    metavar="ID=SERIAL",
+    help="Record this camera (repeat); serial, USB path or uri.  [default: all]",
+)
+@redist_option
+@click.option("--append", is_flag=True, help="Go on with a recording.")
+@click.option(
+    "--preview",
+    is_flag=False,
+    flag_value="8765",
+    metavar="[HOST:]PORT",
+    help="Show live pictures and coverage on a web page; on this computer only unless HOST says otherwise (0.0.0.0).",
+)
+@click.option(
+    "--settle", type=click.FloatRange(0), default=2.0, show_default=True, help="Seconds for exposure to settle."
+)
+@click.option(
+    "--give-up",
+    type=click.FloatRange(1),
+    default=15.0,
+    show_default=True,
+    help="End after so many seconds without any frame.",
+)
+@click.option("--allow-unregistered", is_flag=True, help="Take cameras whose depth is not registered to colour.")
+def command(
+    out: Path,
+    board: Callable[[], object],
+    intrinsic: bool,
+    depth_bias: bool,
+    distances: str | None,
+    on_still: bool,
+    interval: float | None,
+    count: int | None,
+    until_enough: bool,
+    pairs_only: bool,
+    depth_frames: int,
+    alternate_emitters: bool,
+    auto_exposure: bool,
+    devices: tuple[str, ...],
+    redist: Path | None,
+    append: bool,
+    preview: str | None,
+    settle: float,
+    give_up: float,
+    allow_unregistered: bool,
+) -> None:
+    """Record a rig of OpenNI2 cameras (Xtion, Kinect) into the folder OUT.
+
+    \b
+      rgbd-calib capture rig1/extrinsic --board 9x6 --square 0.06 --on-still --until-enough --preview
+      rgbd-calib capture rig1/intrinsic --board 9x6 --square 0.06 --intrinsic
+      rgbd-calib capture rig1/depth_bias --depth-bias --distances 0.8,1.2,1.6,2.0,2.5,3.0
+
+    Ctrl-C ends it in good order, with exit status 0 and all that was recorded. The status is 1 where it could not go
+    on (disk full, no frames from any camera) or recorded nothing. OUT/capture.yaml says what happened.
+    """
+    known_distances = _parse_distances(distances)
+    if intrinsic and depth_bias:
+        raise ConfigError("--intrinsic and --depth-bias: both given, one recording is for one of them. Run it twice")
+    if distances and not depth_bias:
+        raise ConfigError("--distances belongs to --depth-bias. Add that, or leave it out")
+    named_board = board()
+    if named_board is None and not append and (intrinsic or on_still or until_enough):
+        option = "--intrinsic" if intrinsic else "--on-still" if on_still else "--until-enough"
+        raise ConfigError(f"{option}: no board given; it needs one to look for. Add --board 9x6 --square 0.06")
+
+    from rich.console import Console
+
+    from rgbd_calib.pipeline.capture.modes import ModeParams
+    from rgbd_calib.pipeline.capture.preview import parse_address
+    from rgbd_calib.pipeline.capture.session import CaptureParams, capture
+    from rgbd_calib.pipeline.capture.shots import DepthParams
+    from rgbd_calib.sensors.identity import parse_devices
+    from rgbd_calib.stages.coverage import CoverageParams
+
+    wait_for_stillness = on_still or (intrinsic and interval is None)
+    mode = ModeParams(
+        interval_s=0.5 if interval is None else interval,
+        count=count,
+        on_still=wait_for_stillness,
+        until_enough=until_enough or (intrinsic and count is None),
+    )
+    params = CaptureParams(
+        out,
+        "intrinsic" if intrinsic else "depth-bias" if depth_bias else "rig",
+        mode,
+        DepthParams(depth_frames, alternate_emitters),
+        CoverageParams(judge_cameras=not pairs_only),
+        named_board,  # type: ignore[arg-type]
+        parse_devices(devices),
+        known_distances,
+        redist,
+        append,
+        auto_exposure,
+        allow_unregistered,
+        settle,
+        give_up,
+        parse_address(preview) if preview is not None else None,
+    )
+    result = capture(params, Console(stderr=True), _ask_distance)
+    _summarize(out, result)
+
+
+def _parse_distances(text: str | None) -> tuple[float, ...]:
+    try:
+        distances_m = tuple(float(part) for part in text.split(",")) if text else ()
+    except ValueError:
+        distances_m = (math.nan,)
+    if not all(0 < d < 20 for d in distances_m):
+        raise ConfigError(f"--distances {text}: metres between commas needed, such as 0.8,1.2,1.6")
+    return distances_m
+
+
+def _ask_distance(camera: str, proposed_m: float | None) -> float | None:
+    """The next distance: asked of the person at the keyboard; without one, the proposed one at once."""
+    from rgbd_calib.pipeline.capture.signals import waiting_for_keyboard
+
+    if not sys.stdin.isatty():
+        if proposed_m is None:
+            raise ConfigError("--depth-bias: nobody at the keyboard to say the distances. Add --distances 0.8,1.2,...")
+        say(f"{camera}: wall at {proposed_m:.3f} m")
+        return proposed_m
+    with waiting_for_keyboard():
+        if proposed_m is not None:
+            answer = click.prompt(
+                f"{camera}: stand it square to the wall, {proposed_m:.3f} m from lens to wall; Enter, or the true distance",
+                default=f"{proposed_m}",
+                show_default=False,
+                err=True,
+            )
+        else:
+            answer = click.prompt(
+                f"{camera}: square to the wall; distance from lens to wall in metres (Enter: next camera)",
+                default="",
+                show_default=False,
+                err=True,
+            )
+    return _parse_distances(answer)[0] if answer.strip() else None
+
+
+def _summarize(out: Path, result: object) -> None:
+    from rgbd_calib.pipeline.capture.session import CaptureResult
+
+    assert isinstance(result, CaptureResult)
+    tally = result.tally
+    ended = "ended by Ctrl-C, " if result.status == "interrupted" else ""
+    spread = f", cameras within {max(tally.spreads_ms):.1f} ms" if len(tally.spreads_ms) and result.lost else ""
+    say(f"{out}: {ended}{result.frame_sets} frame sets{spread}")
+    for camera, n in tally.absent.items():
+        say(f"Warning: {camera}: missing in {n} of them; {out / 'capture.yaml'} says why")
+    for camera, lost in result.lost.items():
+        if any(lost.values()):
+            say(
+                f"{camera}: {lost['color']} colour and {lost['depth']} depth frames never came; the shots do without them"
+            )
+    for sentence in result.missing:
+        say(f"Still missing: {sentence}")

@@ -1,0 +1,86 @@
+"""capture.yaml: what happened while a recording was made, session by session.
+
+It is rewritten whole at every event, so that a kill leaves the last state: a session that still says `running` was
+killed.
+"""
+
+from __future__ import annotations
+
+import threading
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any, Literal
+
+from rgbd_calib.errors import ConfigError
+from rgbd_calib.io.files import dump_yaml, load_yaml, write_text
+
+FORMAT = "rgbd-calib/capture"
+VERSION = 1
+MAX_EVENTS = 1000
+Status = Literal["running", "complete", "interrupted", "failed"]
+
+
+class CaptureLog:
+    """The log of one session, after those of earlier sessions of the same recording."""
+
+    def __init__(self, folder: Path, command: str, program: str) -> None:
+        self._path = folder / "capture.yaml"
+        self._lock = threading.Lock()
+        earlier = load_yaml(self._path) if self._path.exists() else {}
+        if earlier and (earlier.get("format"), earlier.get("version")) != (FORMAT, VERSION):
+            raise ConfigError(f"{self._path}: not a capture log of this program. Move it away, or record elsewhere")
+        self.earlier: list[dict[str, Any]] = list(earlier.get("sessions") or [])
+        now = datetime.now(timezone.utc)
+        self.clock_zero_unix_s = float(earlier.get("clock_zero_unix_s") or now.timestamp())
+        """Zero of all times in the recording."""
+        self._session: dict[str, Any] = {
+            "started": now.isoformat(timespec="milliseconds"),
+            "ended": None,
+            "status": "running",
+            "message": None,
+            "command": command,
+            "program": program,
+            "cameras": {},
+            "counts": {},
+            "events": [],
+        }
+
+    def identities(self) -> dict[str, str]:
+        """{camera: serial number or USB path} of the earlier sessions."""
+        known: dict[str, str] = {}
+        for session in self.earlier:
+            for camera, entry in (session.get("cameras") or {}).items():
+                key = entry.get("serial") or entry.get("usb_path") or entry.get("uri")
+                if key:
+                    known[camera] = str(key)
+        return known
+
+    def set(self, **values: Any) -> None:
+        """Set keys of this session and write."""
+        with self._lock:
+            self._session.update(values)
+            self._write()
+
+    def event(self, camera: str, text: str, at_s: float) -> None:
+        """Note what happened, `at_s` seconds into the session."""
+        with self._lock:
+            if len(self._session["events"]) < MAX_EVENTS:
+                self._session["events"].append({"at_s": round(at_s, 3), "camera": camera or None, "event": text})
+            self._write()
+
+    def end(self, status: Status, message: str | None, counts: dict[str, Any]) -> None:
+        """Close the session."""
+        ended = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+        self.set(status=status, message=message, counts=counts, ended=ended)
+
+    def _write(self) -> None:
+        data = {
+            "format": FORMAT,
+            "version": VERSION,
+            "clock_zero_unix_s": self.clock_zero_unix_s,
+            "sessions": [*self.earlier, self._session],
+        }
+        try:
+            write_text(self._path, dump_yaml(data))
+        except OSError as error:
+            raise ConfigError(f"{self._path}: cannot be written ({error.strerror}). Is the disk full?") from error

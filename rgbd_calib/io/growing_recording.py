@@ -1,0 +1,219 @@
+"""A recording that grows while cameras run, so that a kill at any moment leaves all finished frame sets valid.
+
+A frame set's images are written under hidden names, then all renamed; then dataset.yaml lists cameras that are new;
+then its times are appended to each timestamps.csv, and last its line to frame_sets.csv: with it the set is finished.
+Lines are appended in one write each. dataset.yaml never lists a camera without images.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from rgbd_calib.errors import CalibrationError, ConfigError
+from rgbd_calib.io.recording import CameraInfo, open_recording, write_dataset
+from rgbd_calib.types import Board
+
+TIMESTAMPS_HEADER = "frame,color_us,depth_us"
+DISTANCES_HEADER = "frame,distance_m"
+FRAME_SETS_HEADER = "frame,time_us,spread_us,cameras"
+
+
+@dataclass(frozen=True)
+class CameraImages:
+    """What one camera gives to a frame set; without depth, only colour is written."""
+
+    color: np.ndarray
+    """(h, w, 3) uint8, B G R."""
+    depth_raw: np.ndarray | None
+    """(h, w) uint16, 0 = none."""
+    color_us: int | None = None
+    """Times on the recording's clock; None where unknown."""
+    depth_us: int | None = None
+    distance_m: float | None = None
+    """True distance to the wall, in depth-bias recordings."""
+
+
+class GrowingRecording:
+    """Frame sets are added from any thread, in any order."""
+
+    def __init__(
+        self,
+        folder: Path,
+        board: Board | None = None,
+        *,
+        depth_scale: float = 0.001,
+        registered: bool = True,
+        append: bool = False,
+    ) -> None:
+        self.folder = folder
+        self._serials: dict[str, str | None] = {}
+        self._depth_scale = depth_scale
+        self._registered = registered
+        self._lock = threading.Lock()
+        self._cameras: dict[str, CameraInfo] = {}
+        self._board = board
+        self._next = 0
+        self.finished = 0
+        """Frame sets finished by this object."""
+        if _occupied(folder):
+            if not append:
+                raise ConfigError(f"{folder}: exists already. Choose another name, or go on with --append")
+            self._continue(board)
+
+    @property
+    def cameras(self) -> dict[str, CameraInfo]:
+        """Cameras with images so far."""
+        return dict(self._cameras)
+
+    @property
+    def board(self) -> Board | None:
+        return self._board
+
+    def identify(self, serials: Mapping[str, str | None]) -> None:
+        """Serial numbers of the cameras, to be noted in dataset.yaml with their first images."""
+        self._serials = dict(serials)
+
+    def reserve(self) -> str:
+        """The name of the next frame set."""
+        with self._lock:
+            self._next += 1
+            return f"{self._next - 1:06d}"
+
+    def add(self, frame: str, images: Mapping[str, CameraImages], spread_us: int | None = None) -> None:
+        """Write one frame set whole, or not at all.
+
+        Raises
+        ------
+        CalibrationError
+            The disk is full, or writing fails otherwise; earlier frame sets are untouched.
+        """
+        renamed: list[Path] = []
+        try:
+            hidden = [pair for camera, shot in images.items() for pair in self._write_hidden(camera, frame, shot)]
+            for temporary, path in hidden:
+                temporary.replace(path)
+                renamed.append(path)
+            with self._lock:
+                self._list_new_cameras(images)
+                self._append_lines(frame, images, spread_us)
+                self.finished += 1
+        except OSError as error:
+            for path in renamed:
+                path.unlink(missing_ok=True)
+            remove_leftovers(self.folder, frame)
+            raise CalibrationError(self._explain(error)) from error
+
+    def _write_hidden(self, camera: str, frame: str, shot: CameraImages) -> list[tuple[Path, Path]]:
+        written = []
+        for kind, image in (("color", shot.color), ("depth", shot.depth_raw)):
+            if image is None:
+                continue
+            folder = self.folder / camera / kind
+            folder.mkdir(parents=True, exist_ok=True)
+            data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
+            temporary = folder / f".{frame}.png"
+            temporary.write_bytes(data.tobytes())
+            written.append((temporary, folder / f"{frame}.png"))
+        return written
+
+    def _list_new_cameras(self, images: Mapping[str, CameraImages]) -> None:
+        new = {c: shot.color.shape for c, shot in images.items() if c not in self._cameras}
+        if not new:
+            return
+        for camera, (height, width, _) in new.items():
+            self._cameras[camera] = CameraInfo(width, height, self._depth_scale, self._serials.get(camera))
+        extra = {} if self._registered else {"depth_registered": False}
+        try:
+            write_dataset(self.folder, dict(sorted(self._cameras.items())), self._board, extra)
+        except BaseException:
+            for camera in new:
+                del self._cameras[camera]
+            raise
+
+    def _append_lines(self, frame: str, images: Mapping[str, CameraImages], spread_us: int | None) -> None:
+        for camera, shot in images.items():
+            if shot.color_us is not None or shot.depth_us is not None:
+                times = f"{frame},{_text(shot.color_us)},{_text(shot.depth_us)}"
+                append_line(self.folder / camera / "timestamps.csv", TIMESTAMPS_HEADER, times)
+            if shot.distance_m is not None:
+                append_line(
+                    self.folder / camera / "distances.csv", DISTANCES_HEADER, f"{frame},{float(shot.distance_m)!r}"
+                )
+        first_us = min((shot.color_us for shot in images.values() if shot.color_us is not None), default=None)
+        line = f"{frame},{_text(first_us)},{_text(spread_us)},{' '.join(images)}"
+        append_line(self.folder / "frame_sets.csv", FRAME_SETS_HEADER, line)
+
+    def _continue(self, board: Board | None) -> None:
+        remove_leftovers(self.folder)
+        if not (self.folder / "dataset.yaml").exists():
+            return  # a session that ended before its first frame set
+        there = open_recording(self.folder)
+        if board is not None and there.board is not None and board != there.board:
+            raise ConfigError(
+                f"{self.folder / 'dataset.yaml'}: board: {there.board} there, {board} given; one recording has one board. "
+                "Leave --board out, or record into another folder"
+            )
+        self._board = board or there.board
+        self._cameras = dict(there.cameras)
+        numbers = [int(frame) for frame in there.frames if frame.isdigit()]
+        self._next = max(numbers, default=-1) + 1
+
+    def _explain(self, error: OSError) -> str:
+        kept = f"{self.finished} frame set{'s' if self.finished != 1 else ''} of this session are whole"
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return f"{self.folder}: the disk is full; {kept}. Free space, then go on with --append"
+        return f"{self.folder}: writing failed ({error.strerror or error}); {kept}. Mend that, then go on with --append"
+
+
+def append_line(path: Path, header: str, line: str) -> None:
+    """Append a line in one write; where that fails the file is as it was. A line that a kill cut short is removed.
+
+    Raises
+    ------
+    OSError
+        The disk is full or the folder gone.
+    """
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+    try:
+        size = _whole_lines(handle)
+        os.ftruncate(handle, size)
+        data = (f"{header}\n" if size == 0 else "") + f"{line}\n"
+        try:
+            if os.write(handle, data.encode()) != len(data.encode()):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError:
+            os.ftruncate(handle, size)
+            raise
+    finally:
+        os.close(handle)
+
+
+def _whole_lines(handle: int) -> int:
+    """Bytes up to the end of the last whole line."""
+    size = os.fstat(handle).st_size
+    tail = os.pread(handle, 4096, max(0, size - 4096))
+    return size - len(tail) + tail.rfind(b"\n") + 1
+
+
+def remove_leftovers(folder: Path, frame: str = "*") -> None:
+    """Remove images that were being written when a program died."""
+    for kind in ("color", "depth"):
+        for path in folder.glob(f"*/{kind}/.{frame}.png"):
+            path.unlink(missing_ok=True)
+
+
+def _occupied(folder: Path) -> bool:
+    """A folder in which a capture failed before its first image holds its log only, and counts as free."""
+    return folder.exists() and (not folder.is_dir() or any(p.name != "capture.yaml" for p in folder.iterdir()))
+
+
+def _text(value: int | None) -> str:
+    return "" if value is None else str(value)

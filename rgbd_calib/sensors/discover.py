@@ -1,0 +1,94 @@
+"""What is attached, what each device can do, and what stands in the way of recording with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from rgbd_calib.errors import CalibrationError, ConfigError
+from rgbd_calib.sensors.identity import Identity, assign_cameras
+from rgbd_calib.sensors.openni2 import Runtime
+from rgbd_calib.sensors.usb import crowded_controllers, usb_place
+
+ADVICE_NO_DEVICE = (
+    "no camera is attached, or none may be opened. Look at `lsusb` for 1d27:0601 and the like: not there: cable, power, a "
+    "USB 2.0 port; there: the udev rules of libopenni2-0 need a replug, and USB 3 ports refuse Xtions with old firmware"
+)
+
+
+@dataclass(frozen=True)
+class FoundDevice:
+    """One attached device; `problem` says why it cannot be used."""
+
+    identity: Identity
+    name: str = ""
+    vendor: str = ""
+    firmware: str | None = None
+    controller: str | None = None
+    modes: tuple[str, ...] = ()
+    problem: str | None = None
+
+
+@dataclass(frozen=True)
+class Found:
+    """All attached devices and what is wrong with how they are attached."""
+
+    devices: tuple[FoundDevice, ...]
+    warnings: tuple[str, ...]
+
+    def assign(self, wanted: Mapping[str, str], known: Mapping[str, str] | None = None) -> dict[str, Identity]:
+        """{camera id: device} to record with; see :func:`assign_cameras`.
+
+        Raises
+        ------
+        ConfigError
+            Nothing is attached, or a wanted device is not.
+        CalibrationError
+            A device that is to be used does not open.
+        """
+        if not self.devices:
+            raise ConfigError(ADVICE_NO_DEVICE)
+        cameras = assign_cameras([d.identity for d in self.devices], wanted, known)
+        for device in self.devices:
+            if device.problem and device.identity in cameras.values():
+                others = "" if wanted else ". To record without it, name the others with --device"
+                raise CalibrationError(device.problem + others)
+        return cameras
+
+
+def find_cameras(runtime: Runtime) -> Found:
+    """Open each attached device once, ask it who it is, and close it."""
+    devices = tuple(_ask(runtime, uri) for uri in runtime.uris())
+    warnings = [
+        f"{device.identity.uri}: reports no serial number; it is known by its USB port {device.identity.usb_path}, so keep it "
+        "in that port"
+        for device in devices
+        if device.identity.serial is None and not device.problem
+    ]
+    places = {device.identity.key: usb_place(device.identity.uri) for device in devices}
+    for controller, names in crowded_controllers(places).items():
+        warnings.append(
+            f"{', '.join(names)} share the USB controller {controller}; one camera fills most of it. Move all but one to "
+            "other controllers (`lsusb -t`), or expect missing frames"
+        )
+    return Found(devices, tuple(warnings))
+
+
+def _ask(runtime: Runtime, uri: str) -> FoundDevice:
+    place = usb_place(uri)
+    port = place.path if place else uri
+    try:
+        device = runtime.open(uri)
+    except CalibrationError as error:
+        return FoundDevice(Identity(uri, None, port), problem=str(error))
+    try:
+        return FoundDevice(
+            Identity(uri, device.serial, device.usb_path),
+            device.name,
+            device.vendor,
+            device.firmware,
+            place.controller if place else None,
+            tuple(device.modes()),
+        )
+    finally:
+        device.close()
