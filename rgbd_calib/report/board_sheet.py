@@ -1,0 +1,159 @@
+"""A calibration board as pages for the printer: pattern, ruler, registration marks and the numbers of dataset.yaml.
+
+Two-sided boards: both faces carry the same print. Glued back to back, the board turned about its vertical axis, a
+point x from the left edge of one face lies behind the point (page width - x) of the other. The pattern stands in the
+middle of the page, so corner (c, r) of the front lies behind corner (cols - 1 - c, r) of the back, as the formats ask.
+Squares that lie behind each other have the same colour where cols is even, opposite ones where it is odd; nothing
+depends on it, as long as the board lets no light through.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rgbd_calib.errors import ConfigError
+from rgbd_calib.io.drawings import Fill, Line, Shape, Sheet, Text
+from rgbd_calib.types import Board
+
+PAGES_MM = {
+    "A4": (210.0, 297.0),
+    "A3": (297.0, 420.0),
+    "A2": (420.0, 594.0),
+    "A1": (594.0, 841.0),
+    "A0": (841.0, 1189.0),
+}
+"""ISO 216, upright."""
+
+_FOOT_MM = 30.0  # ruler and text below the pattern
+_EDGE_MM = 10.0  # what printers leave white, and room for the marks
+_MIN_TEXT_WIDTH_MM = 150.0
+
+
+def needed_mm(board: Board) -> tuple[float, float]:
+    """Width and height of the smallest page: the squares, half a square of white around them, the foot."""
+    square = board.square_m * 1000
+    white = max(square / 2, _EDGE_MM)
+    width = (board.cols + 1) * square + 2 * white
+    return max(width, _MIN_TEXT_WIDTH_MM), (board.rows + 1) * square + white + max(white, _EDGE_MM) + _FOOT_MM
+
+
+def page_mm(board: Board, page: str) -> tuple[float, float]:
+    """Page width and height: `auto` (the smallest ISO page, upright or not), a name as A2, or WIDTHxHEIGHT in mm.
+
+    Raises
+    ------
+    ConfigError
+        Not a page, or too small for the board; says what would fit.
+    """
+    width, height = needed_mm(board)
+    if page == "auto" or page.upper() in PAGES_MM:
+        names = PAGES_MM if page == "auto" else (page.upper(),)
+        sizes = [size for name in names for size in (PAGES_MM[name], PAGES_MM[name][::-1])]
+    else:
+        try:
+            w, h = (float(part) for part in page.lower().split("x"))
+        except ValueError:
+            raise ConfigError(
+                f"--page: '{page}' seen; auto, {', '.join(PAGES_MM)} or WIDTHxHEIGHT in mm needed"
+            ) from None
+        sizes = [(w, h)]
+    for size in sizes:
+        if width <= size[0] and height <= size[1]:
+            return size
+    raise ConfigError(
+        f"--page {page}: the board needs {np.ceil(width):.0f} x {np.ceil(height):.0f} mm, the largest page tried is "
+        f"{sizes[-1][0]:g} x {sizes[-1][1]:g} mm. Take a larger page (--page {np.ceil(width):.0f}x{np.ceil(height):.0f}), "
+        "fewer corners or smaller squares"
+    )
+
+
+def sheets(board: Board, page: tuple[float, float]) -> tuple[Sheet, ...]:
+    """The page of the front, and for a two-sided board that of the back."""
+    faces = (" front", " back") if board.two_sided else ("",)
+    return tuple(_sheet(board, page, face) for face in faces)
+
+
+def first_corner_mm(board: Board, page: tuple[float, float]) -> tuple[float, float]:
+    """Where inner corner (0, 0) stands on the page, from its top left corner."""
+    square = board.square_m * 1000
+    x = (page[0] - (board.cols + 1) * square) / 2
+    y = (page[1] - _FOOT_MM - (board.rows + 1) * square) / 2
+    return x + square, y + square
+
+
+def numbers(board: Board) -> str:
+    """The line of dataset.yaml."""
+    parts = [f"type: {board.type}", f"cols: {board.cols}", f"rows: {board.rows}", f"square: {board.square_m:.6g}"]
+    if board.type == "charuco":
+        parts += [f"marker: {board.marker_m:.6g}", f"dictionary: {board.dictionary}"]
+    if board.two_sided:
+        parts += ["two_sided: true", f"thickness: {board.thickness_m:.6g}"]
+    return f"board: {{{', '.join(parts)}}}"
+
+
+def _sheet(board: Board, page: tuple[float, float], face: str) -> Sheet:
+    x, y = first_corner_mm(board, page)
+    square = board.square_m * 1000
+    x, y = x - square, y - square
+    dark = [
+        (x + i * square, y + j * square, square, square)
+        for j in range(board.rows + 1)
+        for i in range(board.cols + 1)
+        if (i + j) % 2 == 0
+    ]
+    shapes: list[Shape] = [Fill(tuple(dark))]
+    if board.type == "charuco":
+        shapes += _markers(board, x, y)
+    foot = y + (board.rows + 1) * square + max(square / 2, _EDGE_MM)
+    foot = max(foot, page[1] - _FOOT_MM)
+    left = max(_EDGE_MM, min(x, (page[0] - _MIN_TEXT_WIDTH_MM) / 2))
+    shapes += _marks(page, y, y + (board.rows + 1) * square)
+    shapes += _ruler(left, foot + 2, page[0] - 2 * left)
+    text = [
+        f"rgbd-calib{face}: {board.cols} x {board.rows} inner corners, squares of {square:g} mm. "
+        "Print at 100 %, not fitted to the page;",
+        "measure the ruler and several squares, and write what you measured into dataset.yaml:",
+        numbers(board),
+    ]
+    if board.two_sided:
+        text[1] = (
+            "measure ruler, squares and thickness (metres, in dataset.yaml). Glue back to back, both texts upright, pin through the crosses:"
+        )
+    size = min(3.2, (page[0] - 2 * left) / (0.5 * max(map(len, text))))
+    shapes += [Text(left, foot + 14 + 4.2 * i, line, size) for i, line in enumerate(text)]
+    return Sheet(*page, tuple(shapes))
+
+
+def _markers(board: Board, x: float, y: float) -> list[Shape]:
+    """ChArUco markers as OpenCV lays them out and draws them, moved to the page."""
+    from rgbd_calib.report.charuco import markers
+
+    shapes: list[Shape] = []
+    for corner_m, cells in markers(board):
+        side = board.marker_m * 1000
+        cell = side / len(cells)
+        x0, y0 = x + corner_m[0] * 1000, y + corner_m[1] * 1000
+        black = [(x0 + i * cell, y0 + j * cell, cell, cell) for j, i in np.argwhere(~cells).tolist()]
+        shapes.append(Fill(tuple(black)))
+    return shapes
+
+
+def _marks(page: tuple[float, float], top: float, bottom: float) -> list[Shape]:
+    """Crosses at the left and right of the pattern, level with its ends: symmetric, so that both faces' coincide."""
+    shapes: list[Shape] = []
+    inset, arm = _EDGE_MM / 2, 3.0
+    for x in (inset, page[0] - inset):
+        for y in (top, bottom):
+            shapes += [Line(x - arm, y, x + arm, y), Line(x, y - arm, x, y + arm)]
+    return shapes
+
+
+def _ruler(x: float, y: float, room: float) -> list[Shape]:
+    """A ruler of 50 mm or of as many times 100 mm as there is room for, ticks every 10 mm."""
+    length = max(50, 100 * int(room // 100))
+    shapes: list[Shape] = [Line(x, y, x + length, y)]
+    for mm in range(0, length + 1, 10):
+        shapes.append(Line(x + mm, y, x + mm, y + (4 if mm % 100 == 0 else 2)))
+        if mm % 100 == 0 or mm == length:
+            shapes.append(Text(x + mm, y + 7, f"{mm} mm" if mm else "0", 2.5, centered=mm > 0))
+    return shapes
