@@ -118,7 +118,7 @@ def command(
       rgbd-calib simulate demo
       rgbd-calib simulate ring8 --cameras 8 --layout ring --seed 3
       rgbd-calib simulate clean --no-noise --frames 12
-    """  # noqa: D301
+    """
     options.refuse_existing(out, overwrite)
     cols, rows = _board_size(board)
     wall_m = _distances(distances)

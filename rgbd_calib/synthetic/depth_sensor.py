@@ -32,7 +32,7 @@ class DepthNoise:
     window_px: tuple[int, int] = (9, 7)
     """Width and height of the matching window: noise is correlated over it."""
     min_m: float = 0.45
-    max_m: float = 5.0
+    max_m: float = 6.0
     edge_step_px: float = 1.0
     """A jump of disparity between neighbours that leaves no measurement beside it."""
     grazing_cos: float = 0.17
@@ -49,7 +49,7 @@ class DepthNoise:
 def biased(z_true_m: FloatArray, bias: DepthBias) -> FloatArray:
     """The depth z_m that a sensor with this bias reports, so that ``bias.correct(z_m) == z_true_m``."""
     z_m = np.array(z_true_m, float)
-    for _ in range(30):  # a contraction by the slope of the bias, a few per cent a round
+    for _ in range(8):  # a contraction by the slope of the bias, a few per cent a round
         z_m = z_true_m - (bias.correct(z_m) - z_m)
     return z_m
 
@@ -94,7 +94,7 @@ def _holes(z_m: FloatArray, cos_incidence: FloatArray, noise: DepthNoise, rng: n
     u = np.arange(z_m.shape[1])
     # the projector stands to the left: pixel u is seen at u - d, and whatever lies further right there in the
     # camera's row but no further right for the projector is in the shadow of something nearer
-    at_projector = u - disparity
+    at_projector = u - disparity * z_m.shape[1] / 640  # px of this image
     right = np.minimum.accumulate(at_projector[:, ::-1], axis=1)[:, ::-1]
     shadow = at_projector > right + 0.5
     # the foreground is the one with the larger disparity: it is the one to the right here, so it stays

@@ -17,8 +17,12 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.synthetic import textures
 from rgbd_calib.synthetic.scene import Caster, Hits, Scene
 
-ROOM_SAMPLES = 16
+ROOM_SAMPLES = 8
+"""Rays for a pixel of the room on one surface."""
 EDGE_SAMPLES = 32
+"""Rays for a pixel that an outline crosses."""
+PRINT_SAMPLES = 64
+"""Places in a pixel that an edge of the board's print crosses: its corners are what is measured."""
 _CHUNK_RAYS = 400_000
 
 _AMBIENT = np.array([0.44, 0.43, 0.42])
@@ -46,10 +50,6 @@ LIGHTS = (
 )  # fmt: skip
 
 
-_LAMP_PLACES = np.array([[[0.25, 0.25]], [[0.25, 0.75]], [[0.75, 0.25]], [[0.75, 0.75]]])
-"""Where on a light its four parts stand for the whole, where there are no shadows."""
-
-
 @dataclass(frozen=True)
 class ColorNoise:
     """Lens and sensor of the colour camera."""
@@ -68,33 +68,41 @@ class View:
     def __init__(self, intrinsics: Intrinsics, T_room_color: FloatArray) -> None:
         self.intrinsics = intrinsics
         self.origin_m = T_room_color[:3, 3]
-        self.R_room_color = T_room_color[:3, :3]
-        # one ray a pixel, one pixel more all round; between them the lens is straight to 1e-4 px (6 k1 x / f^2 / 8)
+        R_room_color = T_room_color[:3, :3]
         v, u = np.mgrid[-1 : intrinsics.height + 1, -1 : intrinsics.width + 1].astype(float)
-        self._grid = rays(intrinsics.vector, np.stack([u, v], axis=-1))
+        grid = rays(intrinsics.vector, np.stack([u, v], axis=-1))
+        self.in_camera = grid[1:-1, 1:-1].reshape(-1, 3)
+        """Directions (h * w, 3) through the middles of all pixels, row by row, in the camera's frame."""
+        self.centres = self.in_camera @ R_room_color.T
+        """The same in the room's frame."""
+        # within a pixel the lens is straight to 1e-4 px: its second derivative is 6 k1 x / f^2
+        self._along_u = ((grid[1:-1, 2:] - grid[1:-1, :-2]) / 2).reshape(-1, 3) @ R_room_color.T
+        self._along_v = ((grid[2:, 1:-1] - grid[:-2, 1:-1]) / 2).reshape(-1, 3) @ R_room_color.T
 
     @property
     def shape(self) -> tuple[int, int]:
         return self.intrinsics.height, self.intrinsics.width
 
-    def in_camera(self) -> FloatArray:
-        """Directions (h * w, 3) through the middles of all pixels, z = 1, in the camera's frame."""
-        return self._grid[1:-1, 1:-1].reshape(-1, 3)
+    def through(self, pixels: np.ndarray, offsets_px: FloatArray) -> FloatArray:
+        """Directions (n, s, 3), in the room's frame, at `offsets_px` (n, s, 2) from the middles of pixels (n,)."""
+        return (
+            self.centres[pixels, None]
+            + offsets_px[..., :1] * self._along_u[pixels, None]
+            + offsets_px[..., 1:] * self._along_v[pixels, None]
+        )
 
-    def centres(self) -> FloatArray:
-        """Directions (h * w, 3) through the middles of all pixels, in the room's frame."""
-        flat: FloatArray = self.in_camera() @ self.R_room_color.T
-        return flat
-
-    def through(self, pixels_px: FloatArray) -> FloatArray:
-        """Directions (n, 3) through pixels (n, 2) at most half a pixel outside the image, in the room's frame."""
-        u, v = pixels_px[:, 0] + 1, pixels_px[:, 1] + 1
-        i, j = np.floor(u).astype(int), np.floor(v).astype(int)
-        a, b = (u - i)[:, None], (v - j)[:, None]
-        g = self._grid
-        top, bottom = g[j, i] * (1 - a) + g[j, i + 1] * a, g[j + 1, i] * (1 - a) + g[j + 1, i + 1] * a
-        flat: FloatArray = (top * (1 - b) + bottom * b) @ self.R_room_color.T
-        return flat
+    def on_plane(
+        self, pixels: np.ndarray, offsets_px: FloatArray, normal: FloatArray, d_m: float, axis: FloatArray
+    ) -> FloatArray:
+        """Coordinates (n, s) along `axis` (3,), from the eye, of where these rays meet the plane that lies `d_m` from
+        the eye along `normal` (3,): the same as by :meth:`through`, with few products."""
+        up, down = (
+            (self.centres[pixels] @ a)[:, None]
+            + offsets_px[..., 0] * (self._along_u[pixels] @ a)[:, None]
+            + offsets_px[..., 1] * (self._along_v[pixels] @ a)[:, None]
+            for a in (axis, normal)
+        )
+        return d_m * up / down
 
 
 @dataclass(frozen=True)
@@ -109,17 +117,15 @@ class Picture:
     """(h, w) between ray and surface."""
 
 
-def render_room(view: View, caster: Caster, rng: np.random.Generator, samples: int = ROOM_SAMPLES) -> Picture:
+def render_room(view: View, caster: Caster, rng: np.random.Generator) -> Picture:
     """The room as one camera sees it, with soft shadows."""
     h, w = view.shape
+    hits = caster.cast(view.origin_m, view.centres)
+    crossed = _crossed(hits.quad.reshape(h, w))
     light = np.empty((h * w, 3), np.float32)
-    rows = max(1, _CHUNK_RAYS // (samples * w))
-    for first in range(0, h, rows):
-        pixels = np.arange(first * w, min(first + rows, h) * w)
-        light[pixels] = _supersample(view, pixels, [caster], caster, rng, samples)
-    centres = view.centres()
-    hits = caster.cast(view.origin_m, centres)
-    cos = _cos_incidence(caster.scene, hits, centres)
+    for some, samples in ((np.flatnonzero(~crossed), ROOM_SAMPLES), (np.flatnonzero(crossed), EDGE_SAMPLES)):
+        light[some] = _supersample(view, some, [caster], caster, rng, samples)
+    cos = _cos_incidence(caster.scene, hits, view.centres)
     return Picture(light.reshape(h, w, 3), hits.t.reshape(h, w), cos.reshape(h, w))
 
 
@@ -128,26 +134,31 @@ def render_with_board(
 ) -> Picture:
     """The room's picture with the board (and its stand) put in front of it."""
     h, w = view.shape
-    centres = view.centres()
-    hits = board_caster.cast(view.origin_m, centres)
     scene = board_caster.scene
-    front = hits.t < room.z_m.ravel()
-    patch = np.zeros(h * w, int)
-    patch[front] = 1 + _patches(scene, hits.quad[front], _points(view, centres[front], hits.t[front]))
+    hits = board_caster.cast(view.origin_m, view.centres)
+    shown = np.flatnonzero(hits.t < room.z_m.ravel())
+    quads, t = hits.quad[shown], hits.t[shown]
+    s_m, t_m = _on_surface(scene, quads, view.origin_m + t[:, None] * view.centres[shown])
+    quad = np.full(h * w, -1)
+    quad[shown] = quads
+    patch = np.full(h * w, -1)
+    patch[shown] = _patches(scene, quads, s_m, t_m)
+    outline, crossed = _crossed(quad.reshape(h, w)), _crossed(patch.reshape(h, w))
+
     light = room.light.reshape(-1, 3).copy()
-    image = patch.reshape(h, w).astype(np.float32)  # exact: there are fewer than 2^24 patches
-    crossed = (cv2.dilate(image, np.ones((3, 3))) != cv2.erode(image, np.ones((3, 3)))).ravel()
-    # a middle and its eight neighbours on one patch: one ray shows the pixel's mean
-    inside = np.flatnonzero(front & ~crossed)
-    points = _points(view, centres[inside], hits.t[inside])
-    light[inside] = _radiance(scene, hits.quad[inside], points, view.origin_m, None, None)
-    edges = np.flatnonzero(crossed)
-    step = max(1, _CHUNK_RAYS // EDGE_SAMPLES)
-    for first in range(0, len(edges), step):
-        some = edges[first : first + step]
-        light[some] = _supersample(view, some, [board_caster, room_caster], room_caster, rng, EDGE_SAMPLES)
-    cos = np.where(front, _cos_incidence(scene, hits, centres), room.cos_incidence.ravel())
-    z_m = np.where(front, hits.t, room.z_m.ravel())
+    plain = ~outline[shown]
+    points = view.origin_m + t[plain, None] * view.centres[shown[plain]]
+    irradiance = _irradiance(_facing(scene.normals[quads[plain]], points, view.origin_m), points)
+    color = _albedo(scene, quads[plain], s_m[plain], t_m[plain])[0]
+    mixed = np.flatnonzero(crossed[shown[plain]])
+    color[mixed] = _mean_albedo(view, scene, quads[plain][mixed], shown[plain][mixed], rng)
+    light[shown[plain]] = color * irradiance
+    edges = np.flatnonzero(outline)
+    light[edges] = _supersample(view, edges, [board_caster, room_caster], room_caster, rng, EDGE_SAMPLES)
+
+    z_m, cos = room.z_m.ravel().copy(), room.cos_incidence.ravel().copy()
+    z_m[shown] = t
+    cos[shown] = _cos_incidence(scene, Hits(quads, t), view.centres[shown])
     return Picture(light.reshape(h, w, 3), z_m.reshape(h, w), cos.reshape(h, w))
 
 
@@ -167,29 +178,64 @@ def develop(picture: Picture, noise: ColorNoise, rng: np.random.Generator) -> np
     return np.round(255 * textures.encode(light)).astype(np.uint8)[..., ::-1]
 
 
+def _crossed(numbers: np.ndarray) -> np.ndarray:
+    """(h * w,) bool: is any of a pixel's eight neighbours of another number? Numbers (h, w), below 2^24."""
+    image = numbers.astype(np.float32)
+    square = np.ones((3, 3), np.uint8)
+    flat: np.ndarray = (cv2.dilate(image, square) != cv2.erode(image, square)).ravel()
+    return flat
+
+
 def _supersample(
     view: View,
     pixels: np.ndarray,
     casters: list[Caster],
-    shadow_caster: Caster,
+    room_caster: Caster,
     rng: np.random.Generator,
     samples: int,
 ) -> FloatArray:
-    """Mean light (n, 3) over the squares of pixels (n,), row-major numbers; the nearest hit of the casters counts."""
-    w = view.intrinsics.width
-    middles = np.stack([pixels % w, pixels // w], axis=1).astype(float)
-    places = middles[:, None] + _spread(len(pixels), samples, rng) - 0.5
-    directions = view.through(places.reshape(-1, 2))
-    hits = [caster.cast(view.origin_m, directions) for caster in casters]
-    spread = np.stack([_spread(len(pixels), samples, rng).reshape(-1, 2) for _ in range(1 + len(LIGHTS))])
-    nearest = np.argmin([h.t for h in hits], axis=0)
-    light = np.zeros((len(directions), 3))
-    for i, caster in enumerate(casters):
-        mine = np.flatnonzero((nearest == i) & np.isfinite(hits[i].t))
-        points = _points(view, directions[mine], hits[i].t[mine])
-        shadows = shadow_caster if caster is shadow_caster else None
-        light[mine] = _radiance(caster.scene, hits[i].quad[mine], points, view.origin_m, shadows, spread[:, mine])
-    mean: FloatArray = light.reshape(len(pixels), samples, 3).mean(axis=1)
+    """Mean light (n, 3) over the squares of pixels (n,), row-major numbers; the nearest hit of the casters counts.
+    Only what `room_caster` hits lies in shadows, those of the room."""
+    mean = np.empty((len(pixels), 3))
+    step = max(1, _CHUNK_RAYS // samples)
+    for first in range(0, len(pixels), step):
+        some = pixels[first : first + step]
+        directions = view.through(some, _spread(len(some), samples, rng) - 0.5).reshape(-1, 3)
+        spread = [_spread(len(some), samples, rng).reshape(-1, 2) for _ in range(1 + len(LIGHTS))]
+        hits = [caster.cast(view.origin_m, directions) for caster in casters]
+        nearest = np.argmin([h.t for h in hits], axis=0)
+        light = np.zeros((len(directions), 3))
+        for i, caster in enumerate(casters):
+            mine = np.flatnonzero((nearest == i) & (hits[i].quad >= 0))
+            quads = hits[i].quad[mine]
+            points = view.origin_m + hits[i].t[mine, None] * directions[mine]
+            color, glows = _albedo(caster.scene, quads, *_on_surface(caster.scene, quads, points))
+            normals = _facing(caster.scene.normals[quads], points, view.origin_m)
+            if caster is room_caster:
+                irradiance = _shadowed_irradiance(normals, points, caster, [a[mine] for a in spread])
+            else:
+                irradiance = _irradiance(normals, points)
+            irradiance[glows] = 1.0
+            light[mine] = color * irradiance
+        mean[first : first + step] = light.reshape(len(some), samples, 3).mean(axis=1)
+    return mean
+
+
+def _mean_albedo(
+    view: View, scene: Scene, quads: np.ndarray, pixels: np.ndarray, rng: np.random.Generator
+) -> FloatArray:
+    """Mean albedo (n, 3) of pixels (n,) that see nothing but rectangles (n,), across the edges of their print."""
+    mean = np.empty((len(pixels), 3))
+    for q in np.unique(quads):
+        mine = np.flatnonzero(quads == q)
+        offsets = _spread(len(mine), PRINT_SAMPLES, rng) - 0.5
+        rel = scene.corners_m[q] - view.origin_m
+        normal, places = scene.normals[q], []
+        for edge in (scene.edges_u_m[q], scene.edges_v_m[q]):
+            axis = edge / np.linalg.norm(edge)
+            places.append(view.on_plane(pixels[mine], offsets, normal, float(normal @ rel), axis) - axis @ rel)
+        color = textures.albedo(scene.materials[scene.material[q]], *(p.ravel() for p in places), np.zeros(1))
+        mean[mine] = color.reshape(len(mine), PRINT_SAMPLES, 3).mean(axis=1)
     return mean
 
 
@@ -201,11 +247,6 @@ def _spread(n: int, samples: int, rng: np.random.Generator) -> FloatArray:
     return places
 
 
-def _points(view: View, directions: FloatArray, t: FloatArray) -> FloatArray:
-    points: FloatArray = view.origin_m + t[:, None] * directions
-    return points
-
-
 def _cos_incidence(scene: Scene, hits: Hits, directions: FloatArray) -> FloatArray:
     cos = np.abs(np.einsum("ij,ij->i", scene.normals[hits.quad], directions)) / np.linalg.norm(directions, axis=1)
     return np.where(hits.quad >= 0, cos, 1.0)
@@ -213,61 +254,61 @@ def _cos_incidence(scene: Scene, hits: Hits, directions: FloatArray) -> FloatArr
 
 def _on_surface(scene: Scene, quads: np.ndarray, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Places (s, t), (n,) each, metres along the edges of rectangles (n,)."""
-    u, v = scene.edges_u_m[quads], scene.edges_v_m[quads]
+    u = scene.edges_u_m / np.linalg.norm(scene.edges_u_m, axis=1, keepdims=True)
+    v = scene.edges_v_m / np.linalg.norm(scene.edges_v_m, axis=1, keepdims=True)
     rel = points_m - scene.corners_m[quads]
-    s = np.einsum("ij,ij->i", rel, u) / np.linalg.norm(u, axis=1)
-    t = np.einsum("ij,ij->i", rel, v) / np.linalg.norm(v, axis=1)
-    return s, t
+    return np.einsum("ij,ij->i", rel, u[quads]), np.einsum("ij,ij->i", rel, v[quads])
 
 
-def _patches(scene: Scene, quads: np.ndarray, points_m: FloatArray) -> np.ndarray:
-    """Numbers (n,) of the patches of one colour that points (n, 3) lie on."""
-    s, t = _on_surface(scene, quads, points_m)
+def _patches(scene: Scene, quads: np.ndarray, s_m: FloatArray, t_m: FloatArray) -> np.ndarray:
+    """Numbers (n,) of the patches of one colour at places on rectangles (n,)."""
     patch = quads * 10_000
     for m, material in enumerate(scene.materials):
         mine = scene.material[quads] == m
-        patch[mine] += textures.cells(material, s[mine], t[mine])
+        patch[mine] += textures.cells(material, s_m[mine], t_m[mine])
     return patch
 
 
-def _radiance(
-    scene: Scene,
-    quads: np.ndarray,
-    points_m: FloatArray,
-    eye_m: FloatArray,
-    shadow_caster: Caster | None,
-    spread: FloatArray | None,
-) -> FloatArray:
-    """Linear RGB (n, 3) of matt points (n, 3) on rectangles (n,).
-
-    With `shadow_caster`, `spread` (1 + lights, n, 2) in [0, 1) chooses a direction into the room and a place on each
-    light for each point; without, nothing throws shadows.
-    """
-    s, t = _on_surface(scene, quads, points_m)
+def _albedo(scene: Scene, quads: np.ndarray, s_m: FloatArray, t_m: FloatArray) -> tuple[FloatArray, np.ndarray]:
+    """Linear colour (n, 3) at places on rectangles (n,), and whether they shine by themselves (n,)."""
     kind = scene.material[quads]
     color = np.empty((len(quads), 3))
     glows = np.zeros(len(quads), bool)
-    for m in np.unique(kind):
+    for m in np.flatnonzero(np.bincount(kind, minlength=len(scene.materials))):
         mine = np.flatnonzero(kind == m)
-        color[mine] = textures.albedo(scene.materials[m], s[mine], t[mine], quads[mine].astype(float))
-        glows[mine] = scene.materials[m].kind == "glow"
-    normals = scene.normals[quads]
-    normals = normals * np.sign(np.einsum("ij,ij->i", normals, eye_m - points_m))[:, None]
+        material = scene.materials[m]
+        color[mine] = textures.albedo(material, s_m[mine], t_m[mine], quads[mine].astype(float))
+        glows[mine] = material.kind == "glow"
+    return color, glows
+
+
+def _facing(normals: FloatArray, points_m: FloatArray, eye_m: FloatArray) -> FloatArray:
+    """Normals (n, 3), turned towards the eye (3,)."""
+    away = np.einsum("ij,ij->i", normals, points_m - eye_m) > 0
+    return np.where(away[:, None], -normals, normals)
+
+
+def _irradiance(normals: FloatArray, points_m: FloatArray) -> FloatArray:
+    """Light (n, 3) on points (n, 3) where nothing throws shadows."""
+    light = _AMBIENT * (0.75 + 0.25 * normals[:, 2:])
+    for lamp in LIGHTS:
+        light += _from_lamp(lamp, np.array([[0.5, 0.5]]), points_m, normals)[0][:, None] * lamp.power
+    return light
+
+
+def _shadowed_irradiance(
+    normals: FloatArray, points_m: FloatArray, caster: Caster, spread: list[FloatArray]
+) -> FloatArray:
+    """Light (n, 3) on points (n, 3); `spread`, 1 + lights arrays (n, 2) in [0, 1), chooses a direction into the room
+    and a place on each light for each point."""
     lifted = points_m + 2e-3 * normals
-    ambient = _AMBIENT * (0.75 + 0.25 * normals[:, 2:])
-    if shadow_caster is None or spread is None:
-        light = ambient
-        for lamp in LIGHTS:
-            for place in _LAMP_PLACES:
-                light = light + _from_lamp(lamp, place, lifted, normals)[0][:, None] * lamp.power / len(_LAMP_PLACES)
-    else:
-        light = ambient * _openness(lifted, normals, shadow_caster, spread[0])[:, None]
-        for lamp, places in zip(LIGHTS, spread[1:], strict=True):
-            share, to_lamp = _from_lamp(lamp, places, lifted, normals)
-            lit = np.flatnonzero(share > 0)
-            share[lit[shadow_caster.blocked(lifted[lit], to_lamp[lit], 0.98)]] = 0
-            light = light + share[:, None] * lamp.power
-    return np.where(glows[:, None], color, color * light)
+    light = _AMBIENT * (0.75 + 0.25 * normals[:, 2:]) * _openness(lifted, normals, caster, spread[0])[:, None]
+    for lamp, places in zip(LIGHTS, spread[1:], strict=True):
+        share, to_lamp = _from_lamp(lamp, places, lifted, normals)
+        lit = np.flatnonzero(share > 0)
+        share[lit[caster.blocked(lifted[lit], to_lamp[lit], 0.98)]] = 0
+        light += share[:, None] * lamp.power
+    return light
 
 
 def _from_lamp(

@@ -131,6 +131,7 @@ class Caster:
         triangles = (4 * np.arange(len(c))[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
         self._open3d.add_triangles(self._tensor(vertices.astype(np.float32)), self._tensor(triangles.astype(np.uint32)))
         self._normals = scene.normals
+        self._offsets_m = np.einsum("ij,ij->i", self._normals, scene.corners_m)
 
     def cast(self, origin_m: FloatArray, directions: FloatArray) -> Hits:
         """First rectangles hit by rays from `origin_m` (3,) along `directions` (n, 3)."""
@@ -138,19 +139,18 @@ class Caster:
         rays[:, :3], rays[:, 3:] = origin_m, directions
         answer = self._open3d.cast_rays(self._tensor(rays))
         triangle = answer["primitive_ids"].numpy()
-        found = np.isfinite(answer["t_hit"].numpy())
-        quads = np.where(found, triangle // 2, 0).astype(int)
+        found = np.flatnonzero(np.isfinite(answer["t_hit"].numpy()))
+        quad, t = np.full(len(directions), -1), np.full(len(directions), np.inf)
+        quad[found] = triangle[found] // 2
         # Embree works in single precision: it says which rectangle, the length is computed again in double
-        normal = self._normals[quads]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = np.einsum("ij,ij->i", normal, self.scene.corners_m[quads] - origin_m) / np.einsum(
-                "ij,ij->i", normal, directions
-            )
-        return Hits(np.where(found, quads, -1), np.where(found, t, np.inf))
+        n = self._normals[quad[found]]
+        t[found] = (self._offsets_m[quad[found]] - n @ origin_m) / np.einsum("ij,ij->i", n, directions[found])
+        return Hits(quad, t)
 
     def blocked(self, origins_m: FloatArray, directions: FloatArray, far: float) -> BoolArray:
         """(n,): is anything on ``origin + t direction``, 0 < t < far, for rays (n, 3)?"""
-        rays = np.concatenate([origins_m, directions], axis=1).astype(np.float32)
+        rays = np.empty((len(directions), 6), np.float32)
+        rays[:, :3], rays[:, 3:] = origins_m, directions
         return self._open3d.test_occlusions(self._tensor(rays), tnear=0.0, tfar=far).numpy()
 
     def distance_m(self, points_m: FloatArray) -> FloatArray:

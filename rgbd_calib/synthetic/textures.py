@@ -55,7 +55,7 @@ def cells(material: Material, s_m: FloatArray, t_m: FloatArray) -> np.ndarray:
     """Number of the patch of one colour at (s, t), (n,): where it changes, a sharp edge runs between."""
     if material.kind != "checker":
         return np.zeros(len(s_m), int)
-    across, down, border_m = material.params
+    across, down, _ = material.params
     i, j = _squares(material, s_m, t_m)
     inside = (i >= 0) & (i < across) & (j >= 0) & (j < down)
     return np.where(inside, 1 + i * int(down) + j, 0)

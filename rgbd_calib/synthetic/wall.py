@@ -16,7 +16,7 @@ _TAPE_WIDTH_M, _TAPE_LENGTH_M = 0.019, 0.3
 def render_wall(view: View, distance_m: float, rng: np.random.Generator) -> Picture:
     """The picture of an endless wall at `distance_m` along the optical axis."""
     h, w = view.shape
-    on_wall = view.in_camera() * distance_m  # (h * w, 3)
+    on_wall = view.in_camera * distance_m  # (h * w, 3)
     x, y = on_wall[:, 0], on_wall[:, 1]
     albedo = textures.albedo(_PAINT, x, y, np.full(len(x), float(rng.integers(1000))))
     pixel_m = distance_m / view.intrinsics.fx
