@@ -11,7 +11,7 @@ MODELS = {
     "rig": ("rgbd_calib.io.schemas", "RigModel", "rig.yaml, intrinsics.yaml, depth_bias.yaml, truth.yaml"),
     "config": ("rgbd_calib.pipeline.config", "Config", "the file of --config"),
 }
-"""Module and pydantic model of each file format, and the files it describes."""
+"""Module and type (anything that pydantic knows) of each file format, and the files it describes."""
 
 
 @click.command
@@ -30,6 +30,8 @@ def command(name: str | None) -> None:
     from importlib import import_module
     from importlib.util import find_spec
 
+    from pydantic import TypeAdapter
+
     models = {key: value for key, value in MODELS.items() if find_spec(value[0])}
     if name is None:
         for key, (_, _, files) in models.items():
@@ -38,6 +40,6 @@ def command(name: str | None) -> None:
     if name not in models:
         raise ConfigError(f"schema: '{name}' seen, one of {', '.join(models)} needed")
     module, model, files = models[name]
-    schema = getattr(import_module(module), model).model_json_schema()
+    schema = TypeAdapter(getattr(import_module(module), model)).json_schema()
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema | {"title": files}
     click.echo(json.dumps(schema, indent=2))

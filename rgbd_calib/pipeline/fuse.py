@@ -89,17 +89,17 @@ def on_jump(depth_m: FloatArray, share: float) -> np.ndarray:
     z = np.nan_to_num(depth_m).astype(np.float32)
     far = cv2.dilate(z, np.ones((3, 3), np.uint8))
     near = -cv2.dilate(np.where(z > 0, -z, -np.inf).astype(np.float32), np.ones((3, 3), np.uint8))
-    return (z > 0) & (np.maximum(far - z, z - near) > share * z)
+    return np.asarray((z > 0) & (np.maximum(far - z, z - near) > share * z))
 
 
 def write_ply(path: Path, points_m: FloatArray, colors: np.ndarray) -> None:
     """Write points (n, 3), metres, with colours (n, 3), uint8, as binary PLY."""
     import open3d as o3d
 
-    cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor(np.ascontiguousarray(points_m, np.float32)))
-    cloud.point.colors = o3d.core.Tensor(np.ascontiguousarray(colors, np.uint8))
+    cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor.from_numpy(np.ascontiguousarray(points_m, np.float32)))
+    cloud.point.colors = o3d.core.Tensor.from_numpy(np.ascontiguousarray(colors, np.uint8))
     with whole_file(path) as temporary:
-        if not o3d.t.io.write_point_cloud(str(temporary), cloud):
+        if not o3d.t.io.write_point_cloud(temporary, cloud):
             raise CalibrationError(f"{path}: could not be written. Is the disk full?")
 
 

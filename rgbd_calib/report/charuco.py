@@ -39,5 +39,5 @@ def markers(board: Board) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     layout = cv2.aruco.CharucoBoard((board.cols + 1, board.rows + 1), board.square_m, board.marker_m, dictionary)
     side = dictionary.markerSize + 2
-    for number, corners_m in zip(layout.getIds().ravel(), layout.getObjPoints(), strict=True):
+    for number, corners_m in zip(np.ravel(layout.getIds()), layout.getObjPoints(), strict=True):
         yield np.asarray(corners_m[0], float), cv2.aruco.generateImageMarker(dictionary, int(number), side) > 0

@@ -35,7 +35,7 @@ def export(rig: Rig, options: Options) -> Export:
             entry["T_cn_cnm1"] = (se3.inverse(camera.T_world_color) @ T_world_before).tolist()
         chain[f"cam{n}"] = entry
     names = ", ".join(f"cam{n} is {name}" for n, name in enumerate(order))
-    notes = (f"Kalibr numbers the cameras: {names}", "cam_overlaps lists all other cameras")
+    notes: tuple[str, ...] = (f"Kalibr numbers the cameras: {names}", "cam_overlaps lists all other cameras")
     if not np.array_equal(rig.cameras[order[0]].T_world_color, np.eye(4)):
         notes += (f"Kalibr has no world: poses are relative to {order[0]}",)
     return Export({"": f"# {names}\n{dump_yaml(chain)}"}, notes + bias_note(rig, "Kalibr"))
