@@ -127,7 +127,8 @@ def rays(vector: FloatArray, pixels: FloatArray) -> FloatArray:
             if not np.any(np.abs(step_x) + np.abs(step_y) > 1e-15):
                 break
         u_d, v_d = _distort(x, y, k1, k2, p1, p2, k3)
-        bad = ~((np.abs(u_d - x_d) + np.abs(v_d - y_d) < 1e-9) & (det > 0))
+        # both eigenvalues positive; beyond a turning point one is negative, far beyond it both are
+        bad = ~((np.abs(u_d - x_d) + np.abs(v_d - y_d) < 1e-9) & (det > 0) & (xx + yy > 0))
     out = np.stack([x, y, np.ones_like(x)], axis=-1)
     out[bad] = np.nan
     return out
