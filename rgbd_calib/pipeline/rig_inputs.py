@@ -30,6 +30,8 @@ def common_cameras(recording: Recording, rig: Rig) -> tuple[str, ...]:
                 f"{recording.path}: camera {name}: images of {info.width}x{info.height} px, the rig's intrinsics are "
                 f"for {lens.width}x{lens.height}; the same size is needed. Calibrate at the size that you record"
             )
+    if recording.extra.get("corrected"):
+        _refuse_second_correction(recording, rig, shared)
     return shared
 
 
@@ -44,6 +46,21 @@ def left_out(recording: Recording, rig: Rig) -> str:
         if missing:
             parts.append(f"{', '.join(missing)} {where}")
     return f"Left out: {'; '.join(parts)}" if parts else ""
+
+
+def _refuse_second_correction(recording: Recording, rig: Rig, shared: tuple[str, ...]) -> None:
+    """Raise ConfigError where the rig would remove what `correct` removed from this recording already."""
+    corrected = recording.extra["corrected"]
+    undistorted = isinstance(corrected, dict) and corrected.get("undistorted")
+    for name in shared:
+        camera = rig.cameras[name]
+        again = ["a depth bias"] if camera.depth_bias is not None else []
+        again += ["distortion"] if undistorted and any(camera.intrinsics.distortion) else []
+        if again:
+            raise ConfigError(
+                f"{recording.path}: camera {name}: the rig has {' and '.join(again)}, which `rgbd-calib correct` has "
+                f"removed from this recording already. Use the rig written with it, {recording.path / 'rig.yaml'}"
+            )
 
 
 def check_frame(recording: Recording, frame: str) -> None:

@@ -1,0 +1,63 @@
+"""`rgbd-calib correct`: a recording with its errors removed, for programs that know nothing of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from rgbd_calib.cli.options import (
+    jobs_option,
+    output_option,
+    overwrite_option,
+    progress,
+    recording_argument,
+    refuse_existing,
+    say,
+)
+
+
+@click.command
+@recording_argument
+@click.option("--rig", "rig_path", type=click.Path(path_type=Path), required=True, help="The rig file.")
+@click.option("--undistort", is_flag=True, help="Also undistort colour and depth, to pinholes with the same K.")
+@jobs_option
+@output_option("the corrected recording, a folder")
+@overwrite_option
+def command(recording: Path, rig_path: Path, undistort: bool, jobs: int | None, output: Path, overwrite: bool) -> None:
+    """Remove the depth bias from a recording, and its lens distortion if asked.
+
+    OUT is a recording like the one it was made from, with the intrinsics in its dataset.yaml, and with a rig.yaml that
+    fits it: no bias any more and, with --undistort, no distortion. Depth keeps its unit and is rounded to it;
+    undistorted depth is taken from the nearest pixel, never mixed.
+
+    \b
+    Examples:
+      rgbd-calib correct demo/extrinsic --rig demo/rig.yaml -o demo/corrected
+      rgbd-calib correct demo/extrinsic --rig demo/rig.yaml --undistort -o demo/pinhole
+      rgbd-calib fuse demo/pinhole --rig demo/pinhole/rig.yaml -o demo/pinhole.ply
+    """
+    refuse_existing(output, overwrite)
+
+    from rgbd_calib.io.files import whole_folder
+    from rgbd_calib.io.recording import open_recording
+    from rgbd_calib.io.rig import read_rig
+    from rgbd_calib.pipeline.correct import correct, refuse_inside
+    from rgbd_calib.pipeline.rig_inputs import left_out
+
+    rig = read_rig(rig_path)
+    opened = open_recording(recording)
+    refuse_inside(recording, output)
+    if left_out(opened, rig):
+        say(left_out(opened, rig))
+    with whole_folder(output, overwrite) as folder:
+        summary = correct(opened, rig, folder, undistort, jobs, progress)
+    say(f"Corrected recording, and its rig.yaml -> {output}")
+    for camera, done in summary.items():
+        bias = "no depth bias in the rig" if rig.cameras[camera].depth_bias is None else "bias removed"
+        notes = [f"{done.color_images} colour", f"{done.depth_images} depth images, {bias}"]
+        if done.lost_pixels:
+            notes.append(f"{done.lost_pixels} depth pixels no longer fit 16 bits and became 0")
+        if done.held_pixels:
+            notes.append(f"{done.held_pixels} depth pixels outside the bias' fitted range, corrected as at its end")
+        say(f"  {camera}: {', '.join(notes)}")

@@ -1,0 +1,176 @@
+"""A recording for programs that know nothing of this one: depth bias removed and, if asked, lenses undistorted."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from rgbd_calib.errors import ConfigError
+from rgbd_calib.geometry.camera import Intrinsics, project, rays
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.io.exports.common import without_lens
+from rgbd_calib.io.recording import Recording, save_color, save_depth, write_dataset
+from rgbd_calib.io.rig import write_rig
+from rgbd_calib.pipeline.detection import Progress, silent
+from rgbd_calib.pipeline.rig_inputs import common_cameras
+from rgbd_calib.types import Rig, RigCamera
+
+_TABLES = ("timestamps.csv", "distances.csv")
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """What was written for one camera."""
+
+    color_images: int
+    depth_images: int
+    lost_pixels: int
+    """Measured depth pixels that do not fit 16 bits, or are not positive, once corrected; they became 0."""
+    held_pixels: int
+    """Measured depth pixels outside the range that the bias was fitted on: corrected as at its end."""
+
+
+@dataclass(frozen=True)
+class UndistortMap:
+    """Where in the distorted image each pixel of the undistorted one is found."""
+
+    u_px: FloatArray
+    """(h, w)."""
+    v_px: FloatArray
+    valid: np.ndarray
+    """(h, w), bool: inside the image, where the lens model can be inverted."""
+
+
+def undistort_map(lens: Intrinsics) -> UndistortMap:
+    """The map to a pinhole with the same K."""
+    u, v = np.meshgrid(np.arange(lens.width, dtype=float), np.arange(lens.height, dtype=float))
+    directions = np.stack([(u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, np.ones_like(u)], axis=-1)
+    source = project(lens.vector, directions)
+    inside = (np.abs(source - [(lens.width - 1) / 2, (lens.height - 1) / 2]) <= [lens.width / 2, lens.height / 2]).all(
+        -1
+    )
+    with np.errstate(invalid="ignore"):
+        unique = np.abs(rays(lens.vector, source) - directions).max(axis=-1) < 1e-6
+    return UndistortMap(source[..., 0], source[..., 1], inside & unique)
+
+
+def correct_depth(depth_raw: np.ndarray, scale: float, camera: RigCamera) -> tuple[np.ndarray, int, int]:
+    """Depth (h, w), uint16 in units of `scale`, with the bias removed; and how many pixels were lost and held.
+
+    Returns
+    -------
+    corrected, lost, held
+        Rounded to the unit. Lost: not in 1 ... 65535 any more, set to 0. Held: outside the fitted range.
+    """
+    bias = camera.depth_bias
+    if bias is None:
+        return depth_raw, 0, 0
+    measured = depth_raw > 0
+    z_m = depth_raw * scale
+    units = np.rint(bias.correct(z_m) / scale)
+    fits = measured & (units >= 1) & (units <= np.iinfo(np.uint16).max)
+    held = measured & ((z_m < bias.min_m) | (z_m > bias.max_m))
+    lost = int(np.count_nonzero(measured & ~fits))
+    return np.where(fits, units, 0).astype(np.uint16), lost, int(np.count_nonzero(held))
+
+
+def correct(
+    recording: Recording,
+    rig: Rig,
+    out: Path,
+    undistort: bool = False,
+    jobs: int | None = None,
+    progress: Progress = silent,
+) -> dict[str, Corrected]:
+    """Write the corrected recording, and the rig that belongs to it, into the folder `out`; say what was done by camera.
+
+    Colour images are copied as they are unless `undistort`. Cameras that the rig does not have are left out.
+
+    Raises
+    ------
+    ConfigError
+        A damaged image, a rig of other cameras, a recording that is corrected already.
+    """
+    cameras = common_cameras(recording, rig)
+    fitting = _rig_of_corrected(rig, cameras, undistort)
+    infos = {c: replace(recording.cameras[c], intrinsics=fitting.cameras[c].intrinsics) for c in cameras}
+    maps = {c: undistort_map(rig.cameras[c].intrinsics) if undistort else None for c in cameras}
+
+    def do_color(camera: str, frame: str) -> tuple[int, int]:
+        source, to = recording.color_files[camera][frame], maps[camera]
+        if to is None:
+            target = out / camera / "color" / source.name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, target)
+        else:
+            save_color(out, camera, frame, _bilinear(recording.color(camera, frame), to))
+        return 0, 0
+
+    def do_depth(camera: str, frame: str) -> tuple[int, int]:
+        info, to = recording.cameras[camera], maps[camera]
+        depth_raw = np.nan_to_num(np.rint(recording.depth_m(camera, frame) / info.depth_scale)).astype(np.uint16)
+        corrected, lost, held = correct_depth(depth_raw, info.depth_scale, rig.cameras[camera])
+        save_depth(out, camera, frame, corrected if to is None else _nearest(corrected, to))
+        return lost, held
+
+    work: list[tuple[Callable[[str, str], tuple[int, int]], str, str]] = []
+    for camera in cameras:
+        work += [(do_color, camera, frame) for frame in recording.color_files[camera]]
+        work += [(do_depth, camera, frame) for frame in recording.depth_files[camera]]
+    pool = ThreadPoolExecutor(jobs or os.cpu_count())
+    try:
+        results = list(progress(pool.map(lambda job: job[0](job[1], job[2]), work), len(work), "Correcting"))
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+    for camera in cameras:
+        for table in _TABLES:
+            if (recording.path / camera / table).exists():
+                shutil.copyfile(recording.path / camera / table, out / camera / table)
+    extra = recording.extra | {"corrected": {"depth_bias": True, "undistorted": undistort}}
+    write_dataset(out, infos, recording.board, extra)
+    write_rig(out / "rig.yaml", fitting)
+    summary = {}
+    for camera in cameras:
+        own = [result for result, job in zip(results, work, strict=True) if job[1] == camera]
+        lost, held = (sum(column) for column in zip(*own, strict=True))
+        counts = len(recording.color_files[camera]), len(recording.depth_files[camera])
+        summary[camera] = Corrected(*counts, lost, held)
+    return summary
+
+
+def refuse_inside(recording: Path, out: Path) -> None:
+    """Raise ConfigError where writing `out` would replace the recording, or write into it."""
+    source, target = recording.resolve(), out.resolve()
+    if target == source or target in source.parents or source in target.parents:
+        raise ConfigError(f"{out}: is, holds or lies in the recording {recording}. Choose a folder beside it")
+
+
+def _rig_of_corrected(rig: Rig, cameras: tuple[str, ...], undistort: bool) -> Rig:
+    kept = {camera: replace(rig.cameras[camera], depth_bias=None) for camera in cameras}
+    reference = rig.reference if rig.reference in kept else cameras[0]
+    fitting = replace(rig, reference=reference, cameras=kept)
+    return without_lens(fitting) if undistort else fitting
+
+
+def _bilinear(image: np.ndarray, to: UndistortMap) -> np.ndarray:
+    import cv2
+
+    out = cv2.remap(
+        image, to.u_px.astype(np.float32), to.v_px.astype(np.float32), cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE
+    )
+    out[~to.valid] = 0
+    return out
+
+
+def _nearest(depth_raw: np.ndarray, to: UndistortMap) -> np.ndarray:
+    height, width = depth_raw.shape
+    v = np.clip(np.rint(np.where(to.valid, to.v_px, 0)), 0, height - 1).astype(int)
+    u = np.clip(np.rint(np.where(to.valid, to.u_px, 0)), 0, width - 1).astype(int)
+    return np.where(to.valid, depth_raw[v, u], 0).astype(np.uint16)
