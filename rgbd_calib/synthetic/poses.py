@@ -19,8 +19,8 @@ from rgbd_calib.types import Board
 _MARGIN_PX = 8.0
 _SHARED_RANGE_M = (1.3, 3.2)
 _CLOSE_RANGE_M = (0.5, 1.5)
-_SHARED_TILT_COS, _CLOSE_TILT_COS = np.cos(np.radians(55.0)), np.cos(np.radians(42.0))
-_MIN_SQUARE_PX = 7.0
+_SHARED_TILT_COS, _CLOSE_TILT_COS = np.cos(np.radians(50.0)), np.cos(np.radians(42.0))
+_MIN_SQUARE_PX = 8.5
 """Narrower squares than this are lost on a detector."""
 _CLEAR_M = 0.04
 _DRAWS = 6000

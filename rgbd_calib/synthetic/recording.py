@@ -6,8 +6,10 @@ on the number of processes or on their order.
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from multiprocessing import get_context
@@ -100,7 +102,7 @@ def simulate(folder: Path, params: SimulationParams, jobs: int, progress: Progre
     shared, close, work = _plan(truth, params)
     with tempfile.TemporaryDirectory(prefix="rgbd-calib-") as rooms:
         setting = _Setting(params, truth, folder, Path(rooms))
-        with get_context("spawn").Pool(jobs, _start, (setting,)) as pool:
+        with _one_thread_each(), get_context("spawn").Pool(jobs, _start, (setting,)) as pool:
             rendered = pool.imap_unordered(_make_room, truth.cameras)
             for _ in progress(rendered, len(truth.cameras), "empty room"):
                 pass
@@ -117,6 +119,21 @@ def simulate(folder: Path, params: SimulationParams, jobs: int, progress: Progre
     return {
         name: len({j.frame for j in work if j.recording == name}) for name in ("extrinsic", "intrinsic", "depth_bias")
     }
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes started in here use one thread each for linear algebra: there are enough processes."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
 
 
 def true_rig_of(params: SimulationParams) -> TrueRig:

@@ -68,7 +68,7 @@ class View:
     def __init__(self, intrinsics: Intrinsics, T_room_color: FloatArray) -> None:
         self.intrinsics = intrinsics
         self.origin_m = T_room_color[:3, 3]
-        R_room_color = T_room_color[:3, :3]
+        R_room_color = self._R_room_color = T_room_color[:3, :3]
         v, u = np.mgrid[-1 : intrinsics.height + 1, -1 : intrinsics.width + 1].astype(float)
         grid = rays(intrinsics.vector, np.stack([u, v], axis=-1))
         self.in_camera = grid[1:-1, 1:-1].reshape(-1, 3)
@@ -82,6 +82,19 @@ class View:
     @property
     def shape(self) -> tuple[int, int]:
         return self.intrinsics.height, self.intrinsics.width
+
+    def around(self, scene: Scene) -> np.ndarray:
+        """Numbers (n,) of the pixels of an upright rectangle that holds all of a scene, given in the room's frame."""
+        h, w = self.shape
+        c, u, v = scene.corners_m, scene.edges_u_m, scene.edges_v_m
+        p = (np.concatenate([c, c + u, c + v, c + u + v]) - self.origin_m) @ self._R_room_color
+        x, y = p[:, 0] / p[:, 2], p[:, 1] / p[:, 2]
+        if p[:, 2].min() < 0.05:  # beside or behind the camera: no rectangle
+            return np.arange(h * w)
+        rows, columns = self.in_camera.reshape(h, w, 3)[..., 1], self.in_camera.reshape(h, w, 3)[..., 0]
+        low, high = np.array([x.min(), y.min()]) - 0.01, np.array([x.max(), y.max()]) + 0.01
+        inside = (columns > low[0]) & (columns < high[0]) & (rows > low[1]) & (rows < high[1])
+        return np.flatnonzero(inside)
 
     def through(self, pixels: np.ndarray, offsets_px: FloatArray) -> FloatArray:
         """Directions (n, s, 3), in the room's frame, at `offsets_px` (n, s, 2) from the middles of pixels (n,)."""
@@ -135,9 +148,10 @@ def render_with_board(
     """The room's picture with the board (and its stand) put in front of it."""
     h, w = view.shape
     scene = board_caster.scene
-    hits = board_caster.cast(view.origin_m, view.centres)
-    shown = np.flatnonzero(hits.t < room.z_m.ravel())
-    quads, t = hits.quad[shown], hits.t[shown]
+    near = view.around(scene)
+    hits = board_caster.cast(view.origin_m, view.centres[near])
+    front = hits.t < room.z_m.ravel()[near]
+    shown, quads, t = near[front], hits.quad[front], hits.t[front]
     s_m, t_m = _on_surface(scene, quads, view.origin_m + t[:, None] * view.centres[shown])
     quad = np.full(h * w, -1)
     quad[shown] = quads
