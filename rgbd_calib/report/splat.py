@@ -100,7 +100,7 @@ def render(
     z = np.where(hit, (buffer >> np.uint64(32)) / 2**24, np.inf).reshape(high, wide)
     picture = picture.reshape(high, wide, 3) * _shade(z)[..., None]
     small = picture.reshape(height, _OVERSAMPLE, width, _OVERSAMPLE, 3).mean(axis=(1, 3))
-    return np.rint(small).astype(np.uint8)
+    return np.asarray(np.rint(small), np.uint8)
 
 
 def with_legend(picture: np.ndarray, labels: Mapping[str, tuple[int, int, int]]) -> np.ndarray:
@@ -109,9 +109,10 @@ def with_legend(picture: np.ndarray, labels: Mapping[str, tuple[int, int, int]])
 
     image = Image.fromarray(picture)
     draw = ImageDraw.Draw(image)
-    font = ImageFont.load_default(size=max(12, picture.shape[0] // 40))
+    size = max(12, picture.shape[0] // 40)
+    font = ImageFont.load_default(size)
     for i, (text, color) in enumerate(labels.items()):
-        draw.text((10, 8 + i * 1.35 * font.size), text, color, font, stroke_width=2, stroke_fill=(255, 255, 255))
+        draw.text((10, 8 + i * 1.35 * size), text, color, font, stroke_width=2, stroke_fill=(255, 255, 255))
     return np.array(image)
 
 
