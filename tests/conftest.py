@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from rgbd_calib.cli.main import main
 from rgbd_calib.geometry import se3, so3
@@ -17,6 +18,10 @@ from rgbd_calib.geometry.camera import Intrinsics, rays
 from rgbd_calib.io.recording import CameraInfo, save_color, save_depth, write_dataset
 from rgbd_calib.io.rig import write_rig
 from rgbd_calib.types import Board, DepthBias, Rig, RigCamera
+
+# the same examples on every run, and no time limit for one: machines that run tests are busy
+settings.register_profile("repeatable", derandomize=True, deadline=None)
+settings.load_profile("repeatable")
 
 
 @dataclass(frozen=True)

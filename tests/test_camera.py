@@ -1,0 +1,99 @@
+"""The lens model: round trips, derivatives, agreement with OpenCV, and NaN where it has no inverse."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rgbd_calib.geometry.camera import Intrinsics, project, project_jacobian, rays, unproject
+
+# of the size that real depth cameras have, at half angles of 35 degrees: monotonic there
+lenses = st.builds(
+    lambda f, a, cx, cy, k1, k2, p1, p2, k3: Intrinsics(640, 480, f, f * a, cx, cy, (k1, k2, p1, p2, k3)),
+    st.floats(450, 800),
+    st.floats(0.98, 1.02),
+    st.floats(300, 340),
+    st.floats(220, 260),
+    st.floats(-0.1, 0.15),
+    st.floats(-0.1, 0.2),
+    st.floats(-0.003, 0.003),
+    st.floats(-0.003, 0.003),
+    st.floats(-0.05, 0.05),
+)
+LENS = Intrinsics(640, 480, 571.2, 569.8, 318.4, 243.2, (0.06, -0.11, 0.0008, -0.0013, 0.045))
+
+
+def grid(width=640, height=480, n=12):
+    u, v = np.meshgrid(np.linspace(0, width - 1, n), np.linspace(0, height - 1, n))
+    return np.stack([u.ravel(), v.ravel()], axis=1)
+
+
+@given(lenses, st.floats(0.3, 8))
+def test_project_undoes_unproject(lens, z_m):
+    pixels = grid()
+    p_color = unproject(lens.vector, pixels, np.full(len(pixels), z_m))
+    assert np.allclose(p_color[:, 2], z_m)
+    # Newton's method ends below 1e-15 of a unit ray, times f < 816 px
+    assert np.abs(project(lens.vector, p_color) - pixels).max() < 1e-9
+
+
+@given(lenses)
+def test_agrees_with_opencv(lens):
+    p_color = rays(lens.vector, grid()) * np.linspace(0.5, 5, 144)[:, None]
+    theirs = cv2.projectPoints(p_color, np.zeros(3), np.zeros(3), lens.K, np.array(lens.distortion))[0][:, 0]
+    assert np.abs(project(lens.vector, p_color) - theirs).max() < 1e-9
+
+
+def test_the_axis_meets_the_image_at_the_principal_point():
+    assert project(LENS.vector, np.array([0.0, 0.0, 2.0])).tolist() == [318.4, 243.2]
+    assert rays(LENS.vector, np.array([318.4, 243.2])).tolist() == [0.0, 0.0, 1.0]
+
+
+@given(lenses)
+def test_derivatives_against_central_differences(lens):
+    p_color = rays(lens.vector, grid(n=4)) * np.linspace(0.5, 4, 16)[:, None]
+    pixels, J_point, J_vector = project_jacobian(lens.vector, p_color)
+    assert np.allclose(pixels, project(lens.vector, p_color), atol=1e-11)
+    for k in range(3):
+        step = np.zeros(3)
+        step[k] = 1e-6
+        numeric = (project(lens.vector, p_color + step) - project(lens.vector, p_color - step)) / 2e-6
+        # rounding of 640 px: 1e-13 / 1e-6; truncation: h^2 / 6 times a third derivative of f / z^3 < 7e3, times 10
+        assert np.abs(J_point[..., k] - numeric).max() < 1e-6
+    for k in range(9):
+        step = np.zeros(9)
+        step[k] = 1e-4  # the model is linear in all nine but for products f * k: exact up to rounding
+        numeric = (project(lens.vector + step, p_color) - project(lens.vector - step, p_color)) / 2e-4
+        assert np.abs(J_vector[..., k] - numeric).max() < 1e-8
+
+
+def test_one_lens_for_each_point():
+    vectors = np.stack([LENS.vector, LENS.vector + np.array([5, 5, 1, 1, 0.01, 0, 0, 0, 0])])
+    p_color = np.array([[0.2, -0.1, 1.0], [0.1, 0.3, 2.0]])
+    both = project(vectors, p_color)
+    assert np.allclose(both[1], project(vectors[1], p_color[1]))
+    assert np.allclose(rays(vectors, both)[1], rays(vectors[1], both[1]))
+    each = project_jacobian(vectors, p_color)
+    assert np.allclose(each[2][0], project_jacobian(vectors[0], p_color[:1])[2][0])
+
+
+@pytest.mark.parametrize("k1", [-0.3, -0.15])
+def test_pixels_beyond_the_turning_point_have_no_ray(k1):
+    vector = Intrinsics(640, 480, 300.0, 300.0, 320.0, 240.0, (k1, 0.0, 0.0, 0.0, 0.0)).vector
+    turning = 1 / np.sqrt(-3 * k1)  # where d(r + k1 r^3) / dr = 0
+    farthest_px = 300 * turning * 2 / 3
+    inside = np.array([[320 + farthest_px - 1, 240.0], [320 - farthest_px + 1, 240.0]])
+    outside = np.array(
+        [[320 + d, 240.0] for d in (farthest_px + 1, farthest_px + 50, 3 * farthest_px, 9 * farthest_px)]
+    )
+    assert np.isfinite(rays(vector, inside)).all()
+    assert np.isnan(rays(vector, outside)).all()
+    assert np.isnan(rays(vector, 2 * np.array([320.0, 240.0]) - outside)).all()
+
+
+def test_vector_and_matrix_of_intrinsics():
+    assert LENS.with_vector(LENS.vector) == LENS
+    assert np.array_equal(LENS.K @ [0, 0, 1], [318.4, 243.2, 1])
+    flat = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5)
+    assert np.allclose(flat.K @ [0.1, -0.2, 1], [*project(flat.vector, np.array([0.1, -0.2, 1.0])), 1])
