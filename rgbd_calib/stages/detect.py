@@ -26,6 +26,11 @@ MIN_CORNERS = 6
 """Fewer corners of a ChArUco board than this make no view."""
 OUTLIER_SIGMAS = 4.0
 PLANE_SAMPLES = 100
+WINDOW_SQUARES = 0.5
+"""Half a window's side over the shortest distance to a neighbour. The finders of OpenCV are off by up to 0.3 px for a
+whole board at once; cv2.cornerSubPix with this window leaves 0.04 px that are independent from corner to corner."""
+WINDOW_MAX_PX = 10
+"""Beyond it a lens bends the squares' sides: the errors grow again, and not independently."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +56,30 @@ def find_corners(
     found = _find_checkerboard(gray, board, params or DetectParams())
     if found is None:
         return None
-    grid = found.reshape(board.rows, board.cols, 2)
-    return np.arange(board.n_corners), orient(gray, grid).reshape(-1, 2)
+    ids = np.arange(board.n_corners)
+    corners_px = refine(gray, ids, found, board.cols)
+    return ids, orient(gray, corners_px.reshape(board.rows, board.cols, 2)).reshape(-1, 2)
+
+
+def refine(gray: np.ndarray, ids: IntArray, corners_px: FloatArray, cols: int) -> FloatArray:
+    """Corners (n, 2), px, where the gradients around them meet, each window as wide as its squares allow."""
+    reach = np.clip(np.round(WINDOW_SQUARES * _spacing(ids, corners_px, cols)), 2, WINDOW_MAX_PX).astype(int)
+    out = corners_px.copy()
+    for half in np.unique(reach):
+        some = reach == half
+        start = np.ascontiguousarray(corners_px[some, None], np.float32)
+        stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-3)
+        out[some] = cv2.cornerSubPix(gray, start, (int(half), int(half)), (-1, -1), stop)[:, 0]
+    return out
+
+
+def _spacing(ids: IntArray, corners_px: FloatArray, cols: int) -> FloatArray:
+    """Distance (n,), px, from each corner to the nearest of its neighbours on the board, inf where there are none."""
+    r, c = np.divmod(ids, cols)
+    beside = np.abs(np.subtract.outer(r, r)) + np.abs(np.subtract.outer(c, c)) == 1
+    apart = np.linalg.norm(corners_px[:, None] - corners_px, axis=-1)
+    nearest: FloatArray = np.where(beside, apart, np.inf).min(axis=1)
+    return nearest
 
 
 def orient(gray: np.ndarray, grid: FloatArray) -> FloatArray:
