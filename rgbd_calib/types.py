@@ -45,6 +45,19 @@ class Board:
         """True where a half turn of the board cannot be seen: a checkerboard with cols + rows even."""
         return self.type == "checkerboard" and (self.cols + self.rows) % 2 == 0
 
+    def T_face_board(self, back: bool, turned: bool) -> FloatArray:
+        """Motion (4, 4) from the board's frame to the frame of a face as it was read (the front, unturned: identity).
+
+        All of these motions commute and are their own inverses.
+        """
+        width, height = (self.cols - 1) * self.square_m, (self.rows - 1) * self.square_m
+        T = np.eye(4)
+        if turned:
+            T = np.array([[-1.0, 0, 0, width], [0, -1, 0, height], [0, 0, 1, 0], [0, 0, 0, 1]]) @ T
+        if back:
+            T = np.array([[-1.0, 0, 0, width], [0, 1, 0, 0], [0, 0, -1, self.thickness_m], [0, 0, 0, 1]]) @ T
+        return T
+
     def corners_m(self, back: bool = False) -> FloatArray:
         """Corners (cols * rows, 3), metres, in the board's frame, of the front or of the back."""
         r, c = np.divmod(np.arange(self.n_corners), self.cols)

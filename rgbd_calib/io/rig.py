@@ -99,6 +99,12 @@ def read_intrinsics(path: Path) -> dict[str, Intrinsics]:
     return found
 
 
+def read_intrinsics_sd(path: Path) -> dict[str, FloatArray]:
+    """Standard deviations (9,) of fx, fy, cx, cy, k1, k2, p1, p2, k3 by camera, of those that have them."""
+    model = parse(RigModel, load_yaml(path), path)
+    return {name: np.array(camera.intrinsics_sd) for name, camera in model.cameras.items() if camera.intrinsics_sd}
+
+
 def read_depth_bias(path: Path) -> dict[str, DepthBias]:
     """Depth biases by camera from a rig file or a part of one."""
     model = parse(RigModel, load_yaml(path), path)

@@ -181,6 +181,7 @@ class RigCameraModel(_Model):
     translation_m: Vector3 | None = None
     covariance: Matrix6 | None = None
     depth_bias: DepthBiasModel | None = None
+    intrinsics_sd: Annotated[list[Finite], Field(min_length=9, max_length=9)] | None = None
     sigma_2d_px: float | None = None
     sigma_3d_m: float | None = None
 

@@ -13,6 +13,7 @@ from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.files import load_yaml
 from rgbd_calib.stages.association import AssociationParams
 from rgbd_calib.stages.board_pose import BoardPoseParams
+from rgbd_calib.stages.bundle import BundleParams
 from rgbd_calib.stages.depth_bias import DepthBiasParams
 from rgbd_calib.stages.detect import DetectParams
 from rgbd_calib.stages.initialization import InitializationParams
@@ -20,14 +21,14 @@ from rgbd_calib.stages.intrinsics import IntrinsicsParams
 from rgbd_calib.stages.plane_filter import PlaneFilterParams
 from rgbd_calib.stages.refinement import RefinementParams
 
-Method = Literal["init", "ba", "icp", "baicp+", "biobjective"]
+Method = Literal["init", "ba", "icp", "baicp+", "biobjective", "bundle"]
 
 
 @dataclass(frozen=True)
 class Config:
     """Settings of the whole calibration, a section for each stage."""
 
-    method: Method = "biobjective"
+    method: Method = "bundle"
     reference: str | None = None
     """Camera whose frame is the world; None: the first of dataset.yaml."""
     seed: int = 0
@@ -39,6 +40,7 @@ class Config:
     association: AssociationParams = field(default_factory=AssociationParams)
     initialization: InitializationParams = field(default_factory=InitializationParams)
     refinement: RefinementParams = field(default_factory=RefinementParams)
+    bundle: BundleParams = field(default_factory=BundleParams)
 
 
 def load_config(path: Path | None, **over: Any) -> Config:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from rgbd_calib.types import Board, PlacedView, Rig
 
 GRID = 12
 """Points along each side of the working volume."""
+BIN_M = 0.5
+"""Width of the bins of distance in a summary."""
 NEAR_M, FAR_M = 1.0, 3.0
 """Depths of the working volume where no board says where it is."""
 
@@ -55,6 +58,28 @@ class Evaluation:
     def distance_m(self) -> FloatArray:
         """Distances of all pairs together, metres."""
         return np.concatenate([pair.distance_m for pair in self.pairs])
+
+    def summary(self) -> dict[str, Any]:
+        """Plain numbers for people and files."""
+        transfer = np.concatenate([pair.transfer_px for pair in self.pairs])
+        out: dict[str, Any] = {"all": _numbers(self.distance_m, transfer)}
+        out["pairs"] = {" - ".join(p.cameras): _numbers(p.distance_m, p.transfer_px) for p in self.pairs}
+        depth = np.concatenate([pair.depth_m for pair in self.pairs])
+        bins = np.floor(depth / BIN_M)
+        out["by_distance"] = {
+            f"{b * BIN_M:.1f}-{(b + 1) * BIN_M:.1f} m": _numbers(self.distance_m[bins == b], np.empty(0))
+            for b in np.unique(bins)
+        }
+        if self.poses:
+            out["poses"] = {
+                name: {
+                    "rotation_deg": float(np.degrees(e.rotation_rad)),
+                    "translation_mm": 1e3 * e.translation_m,
+                    "relative_translation": e.relative_translation,
+                }
+                for name, e in self.poses.items()
+            }
+        return out
 
 
 def against_truth(rig: Rig, truth: Rig, boards: Mapping[str, FloatArray], board: Board | None) -> Evaluation:
@@ -125,6 +150,16 @@ class _Observed:
     """The depth that the sensor would report without noise."""
     z_m: FloatArray
     seen: np.ndarray
+
+
+def _numbers(distance_m: FloatArray, transfer_px: FloatArray) -> dict[str, float]:
+    out: dict[str, float] = {"points": len(distance_m)}
+    if len(distance_m):
+        mm = 1e3 * distance_m
+        out |= {"mean_mm": float(mm.mean()), "median_mm": float(np.median(mm)), "p95_mm": float(np.percentile(mm, 95))}
+    if len(transfer_px):
+        out |= {"median_px": float(np.median(transfer_px)), "mean_px": float(transfer_px.mean())}
+    return out
 
 
 def _pose_error(T_world_color: FloatArray, truth: Rig, name: str, reference: str) -> PoseError:

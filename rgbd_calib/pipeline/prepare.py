@@ -13,7 +13,7 @@ from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.recording import Recording, open_recording
-from rgbd_calib.io.rig import read_depth_bias, read_intrinsics
+from rgbd_calib.io.rig import read_depth_bias, read_intrinsics, read_intrinsics_sd
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.stages.board_pose import pose_view
@@ -54,6 +54,9 @@ class IntrinsicsSource:
     origin: str
     results: dict[str, IntrinsicsResult]
     views: tuple[BoardView, ...]
+    """Of an intrinsic recording; the calibrated recording's own views are not listed again."""
+    standard_deviations: dict[str, np.ndarray]
+    """(9,) by camera, where a file has them."""
 
 
 def resolve_intrinsics(
@@ -67,19 +70,21 @@ def resolve_intrinsics(
         found = detect(other, config.detect, progress=progress)
         results = intrinsics_of_views(other, found, config, cameras)
         given = {name: result.intrinsics for name, result in results.items()}
-        return IntrinsicsSource(given, str(source), results, found.views)
+        return IntrinsicsSource(given, str(source), results, found.views, {})
     if source is not None:
         given = read_intrinsics(source)
         _need(source, "intrinsics", cameras, given)
         for name in cameras:
             _check_size(source, name, given[name], recording)
-        return IntrinsicsSource({name: given[name] for name in cameras}, str(source), {}, ())
+        return IntrinsicsSource(
+            {name: given[name] for name in cameras}, str(source), {}, (), read_intrinsics_sd(source)
+        )
     in_dataset = {name: info.intrinsics for name, info in recording.cameras.items() if info.intrinsics is not None}
     own = [name for name in cameras if name not in in_dataset]
     results = intrinsics_of_views(recording, detections, config, own) if own else {}
     given = in_dataset | {name: result.intrinsics for name, result in results.items()}
     origin = "dataset.yaml" if not own else "the recording's own views" + (" and dataset.yaml" if in_dataset else "")
-    return IntrinsicsSource({name: given[name] for name in cameras}, origin, results, ())
+    return IntrinsicsSource({name: given[name] for name in cameras}, origin, results, (), {})
 
 
 def depth_bias_of_recording(

@@ -54,6 +54,7 @@ class AssociationResult:
     dropped: dict[tuple[str, str], str]
     """Why, by (camera, frame)."""
     pairs: tuple[PairVotes, ...]
+    reference: str
 
 
 def associate(
@@ -85,7 +86,7 @@ def associate(
         good, bad = _choose(by_frame[frame], motions, T_world_color, params)
         placed += good
         dropped |= {(camera, frame): why for camera, why in bad.items()}
-    return AssociationResult(tuple(placed), T_world_color, dropped, tuple(pairs))
+    return AssociationResult(tuple(placed), T_world_color, dropped, tuple(pairs), reference)
 
 
 Motion = tuple[bool, bool, FloatArray]
@@ -93,15 +94,9 @@ Motion = tuple[bool, bool, FloatArray]
 
 
 def _motions(board: Board) -> list[Motion]:
-    width, height = (board.cols - 1) * board.square_m, (board.rows - 1) * board.square_m
-    turn = se3.make(np.diag([-1.0, -1.0, 1.0]), np.array([width, height, 0.0]))
-    back = se3.make(np.diag([-1.0, 1.0, -1.0]), np.array([width, 0.0, board.thickness_m]))
-    motions: list[Motion] = [(False, False, np.eye(4))]
-    if board.symmetric:
-        motions.append((False, True, turn))
-    if board.two_sided:
-        motions += [(True, turned, back @ T) for _, turned, T in list(motions)]
-    return motions
+    turns = (False, True) if board.symmetric else (False,)
+    faces = (False, True) if board.two_sided else (False,)
+    return [(back, turned, board.T_face_board(back, turned)) for back in faces for turned in turns]
 
 
 def _agree(T: FloatArray, others: FloatArray, params: AssociationParams) -> tuple[FloatArray, FloatArray]:

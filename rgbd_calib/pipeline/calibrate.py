@@ -1,0 +1,365 @@
+"""From a recording to a rig: the stages in their order (the paper, section 7, and the joint bundle)."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import rgbd_calib
+from rgbd_calib.errors import CalibrationError
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.io.files import plain
+from rgbd_calib.io.recording import Recording
+from rgbd_calib.pipeline.config import Config, as_plain
+from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
+from rgbd_calib.pipeline.evaluate import Evaluation, against_views
+from rgbd_calib.pipeline.prepare import IntrinsicsSource, resolve_depth_bias, resolve_intrinsics
+from rgbd_calib.stages.association import AssociationResult, associate
+from rgbd_calib.stages.board_pose import pose_view
+from rgbd_calib.stages.bundle import (
+    BundleResult,
+    CameraPrior,
+    board_poses,
+    bundle,
+    camera_statistics,
+    pose_covariance,
+)
+from rgbd_calib.stages.correspondence import correspond
+from rgbd_calib.stages.initialization import InitializationResult, initialize
+from rgbd_calib.stages.plane_filter import PlaneFilterResult, filter_planes
+from rgbd_calib.stages.refinement import RefinementResult, refine
+from rgbd_calib.types import Board, BoardView, Correspondences, DepthBias, PlacedView, Rig, RigCamera
+
+
+@dataclass(frozen=True)
+class Views:
+    """What all estimators start from: checked views, and rough poses."""
+
+    detections: Detections
+    lenses: IntrinsicsSource
+    biases: dict[str, DepthBias]
+    bias_origin: str
+    filtered: PlaneFilterResult
+    association: AssociationResult
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The result, and what the report shows of the way."""
+
+    rig: Rig
+    views: Views
+    placed: tuple[PlacedView, ...]
+    """The views, the boards posed by the final rig."""
+    correspondences: Correspondences
+    boards: dict[str, FloatArray]
+    """T_world_board (4, 4) by frame."""
+    evaluation: Evaluation | None
+    """On the recording itself; None where no two cameras have depth on the same corner."""
+
+
+def calibrate(
+    recording: Recording,
+    config: Config,
+    *,
+    intrinsics: Path | None = None,
+    depth_bias: Path | None = None,
+    detections: Detections | None = None,
+    jobs: int | None = None,
+    progress: Progress = silent,
+) -> Calibration:
+    """Calibrate a rig from a recording of a board.
+
+    Parameters
+    ----------
+    intrinsics, depth_bias : a file, or a recording to make them from.
+    detections : corners found before; None: find them.
+
+    Raises
+    ------
+    ConfigError, CalibrationError
+        See the stages.
+    """
+    board = board_of(recording)
+    views = prepare_views(recording, config, intrinsics, depth_bias, detections, jobs, progress)
+    cameras = list(recording.cameras)
+    reference = views.association.reference
+    lenses, biases = views.lenses.intrinsics, views.biases
+    data = correspond(views.association.views, board, lenses, biases, cameras)
+    if config.method == "bundle":
+        solved = _bundle(views, board, recording, config, reference)
+        boards, rig = board_poses(solved), _rig_of_bundle(solved, reference)
+        quality = _bundle_quality(solved)
+    else:
+        start = initialize(data, lenses, reference, config.initialization)
+        boards = {}
+        if config.method == "init":
+            rig = _rig_of_poses(start.T_world_color, {}, views, reference)
+            quality = {"initialization": _steps(start)}
+        else:
+            params = replace(config.refinement, method=config.method)
+            refined = refine(data, lenses, start.T_world_color, reference, params)
+            rig = _rig_of_refinement(refined, views, reference)
+            quality = {"initialization": _steps(start), **refinement_quality(refined)}
+    placed = pose_by_rig(rig, views.association.views, board, config)
+    boards = boards or {p.view.frame: rig.cameras[p.view.camera].T_world_color @ p.T_color_board for p in placed}
+    evaluation = against_views(rig, placed, board) if _pairs_with_depth(placed) else None
+    quality |= _common_quality(recording, views, evaluation)
+    provenance = {
+        **provenance_of(config),
+        "recording": str(recording.path),
+        "recording_sha256": recording.digest(),
+        "intrinsics": views.lenses.origin,
+        "depth_bias": views.bias_origin,
+    }
+    return Calibration(
+        replace(rig, quality={"method": config.method, **plain(quality)}, provenance=provenance),
+        views,
+        placed,
+        data,
+        boards,
+        evaluation,
+    )
+
+
+def prepare_views(
+    recording: Recording,
+    config: Config,
+    intrinsics: Path | None = None,
+    depth_bias: Path | None = None,
+    detections: Detections | None = None,
+    jobs: int | None = None,
+    progress: Progress = silent,
+) -> Views:
+    """Detect, filter, and decide which corner is which."""
+    board = board_of(recording)
+    cameras = list(recording.cameras)
+    reference = reference_of(config, cameras)
+    detections = detections or detect(recording, config.detect, jobs, progress)
+    lenses = resolve_intrinsics(intrinsics, recording, detections, config, progress)
+    biases, bias_origin = resolve_depth_bias(depth_bias, recording, lenses.intrinsics, config, progress)
+    filtered = filter_planes(detections.views, lenses.intrinsics, biases, config.plane_filter, config.seed)
+    posed = [
+        pose_view(view, board, lenses.intrinsics[view.camera], biases.get(view.camera), config.board_pose)
+        for view in filtered.views
+    ]
+    association = associate(posed, board, reference, cameras, config.association)
+    return Views(detections, lenses, biases, bias_origin, filtered, association)
+
+
+def reference_of(config: Config, cameras: Sequence[str]) -> str:
+    """The camera whose frame is the world."""
+    reference = config.reference or cameras[0]
+    if reference not in cameras:
+        raise CalibrationError(f"reference: '{reference}' seen, one of {', '.join(cameras)} needed. Choose one of them")
+    return reference
+
+
+def refine_correspondences(
+    data: Correspondences, lenses: IntrinsicsSource, config: Config, reference: str
+) -> tuple[Rig, RefinementResult | None]:
+    """The paper's estimators on bare numbers."""
+    start = initialize(data, lenses.intrinsics, reference, config.initialization)
+    views = _no_views(lenses)
+    if config.method == "init":
+        rig = _rig_of_poses(start.T_world_color, {}, views, reference)
+        quality: dict[str, Any] = {"initialization": _steps(start)}
+        refined = None
+    else:
+        params = replace(config.refinement, method=config.method)
+        refined = refine(data, lenses.intrinsics, start.T_world_color, reference, params)
+        rig = _rig_of_refinement(refined, views, reference)
+        quality = {"initialization": _steps(start), **refinement_quality(refined)}
+    return replace(rig, quality={"method": config.method, **plain(quality)}), refined
+
+
+def pose_by_rig(rig: Rig, views: Sequence[PlacedView], board: Board, config: Config) -> tuple[PlacedView, ...]:
+    """The same views, each board posed by its own pixels through the rig's intrinsics."""
+    out = []
+    for placed in views:
+        own = rig.cameras[placed.view.camera]
+        posed = pose_view(placed.view, board, own.intrinsics, own.depth_bias, config.board_pose)
+        out.append(replace(placed, T_color_board=posed.T_color_face @ board.T_face_board(placed.back, placed.turned)))
+    return tuple(out)
+
+
+def provenance_of(config: Config) -> dict[str, Any]:
+    """Which program, run how."""
+    return {
+        "program": f"rgbd-calib {rgbd_calib.__version__}",
+        "command": " ".join(["rgbd-calib", *sys.argv[1:]]),
+        "seed": config.seed,
+        "config": plain(as_plain(config)),
+    }
+
+
+def _bundle(views: Views, board: Board, recording: Recording, config: Config, reference: str) -> BundleResult:
+    """The joint bundle over the recording's views and those of an intrinsic recording."""
+    lenses = views.lenses
+    priors = {
+        name: CameraPrior(
+            lenses.intrinsics[name],
+            lenses.standard_deviations.get(name),
+            name in lenses.results,
+            views.biases.get(name),
+        )
+        for name in recording.cameras
+    }
+    single = []
+    for view in filter_planes(lenses.views, lenses.intrinsics, views.biases, config.plane_filter, config.seed).views:
+        if view.camera in priors and view.frame not in lenses.results[view.camera].dropped:
+            own = replace(view, frame=f"{view.camera} alone: {view.frame}")
+            posed = pose_view(
+                own, board, lenses.intrinsics[view.camera], views.biases.get(view.camera), config.board_pose
+            )
+            single.append(PlacedView(own, False, False, posed.T_color_face))
+    start = views.association.T_world_color
+    return bundle([*views.association.views, *single], board, priors, start, reference, config.bundle)
+
+
+def _rig_of_bundle(solved: BundleResult, reference: str) -> Rig:
+    cameras = {}
+    for i, name in enumerate(solved.cameras):
+        prior = solved.priors[name]
+        lens = prior.intrinsics.with_vector(solved.state.intrinsics[i])
+        statistics = camera_statistics(solved, name)
+        cameras[name] = RigCamera(
+            lens,
+            solved.state.T_world_color[i],
+            pose_covariance(solved, name),
+            solved.depth_bias(name),
+            plain(statistics),
+        )
+    return Rig(reference, cameras)
+
+
+def _rig_of_poses(
+    T_world_color: Mapping[str, FloatArray], covariance: Mapping[str, FloatArray], views: Views, reference: str
+) -> Rig:
+    cameras = {
+        name: RigCamera(
+            views.lenses.intrinsics[name], T, covariance.get(name, np.zeros((6, 6))), views.biases.get(name)
+        )
+        for name, T in T_world_color.items()
+    }
+    return Rig(reference, cameras)
+
+
+def _rig_of_refinement(refined: RefinementResult, views: Views, reference: str) -> Rig:
+    rig = _rig_of_poses(refined.T_world_color, refined.covariance, views, reference)
+    model = {"sigma_3d_model": "isotropic, for each coordinate"}
+    cameras = {
+        name: replace(
+            own,
+            statistics={
+                **_finite({"sigma_2d_px": refined.sigmas_2d_px[name], "sigma_3d_m": refined.sigmas_3d_m[name]}),
+                **model,
+            },
+        )
+        for name, own in rig.cameras.items()
+    }
+    return replace(rig, cameras=cameras)
+
+
+def refinement_quality(refined: RefinementResult) -> dict[str, Any]:
+    """What the refinement says of itself, as plain numbers."""
+    return {
+        "status": refined.status.name.lower(),
+        "message": refined.message,
+        **_finite(
+            {
+                "sigma_2d_px": refined.sigma_2d_px,
+                "sigma_3d_m": refined.sigma_3d_m,
+                "w": refined.w,
+                "redundancy_2d": refined.redundancy_2d,
+                "redundancy_3d": refined.redundancy_3d,
+                "cost": refined.cost,
+            }
+        ),
+        "iterations": refined.iterations,
+        "rounds": [
+            _finite({"w": r.w, "sigma_2d_px": r.sigma_2d_px, "sigma_3d_m": r.sigma_3d_m, "cost": r.cost})
+            for r in refined.history
+        ],
+        "dropped_rows": refined.dropped,
+    }
+
+
+def _bundle_quality(solved: BundleResult) -> dict[str, Any]:
+    return {
+        "status": "converged" if solved.converged else "max_rounds",
+        "message": solved.message,
+        "cost": solved.cost,
+        "iterations": solved.iterations,
+        "rounds": [
+            {
+                "cost": r.cost,
+                "sigma_2d_px": dict(zip(solved.cameras, r.sigma_2d_px, strict=True)),
+                "depth_k_per_m": dict(zip(solved.cameras, r.k_depth, strict=True)),
+                "pose_part_pixel": r.ratio_pixel,
+                "pose_part_depth": r.ratio_depth,
+                "dropped_views": r.dropped_views,
+            }
+            for r in solved.history
+        ],
+        "dropped": _by_camera(solved.dropped),
+        "dropped_depth_corners": solved.dropped_depth_corners,
+        "not_observable": list(solved.observability.sentences),
+        "reciprocal_condition": solved.observability.reciprocal_condition,
+        "board_bow_m": solved.state.bow_m,
+    }
+
+
+def _common_quality(recording: Recording, views: Views, evaluation: Evaluation | None) -> dict[str, Any]:
+    found, association = views.detections, views.association
+    used = {name: sum(p.view.camera == name for p in association.views) for name in recording.cameras}
+    out: dict[str, Any] = {
+        "images": {name: len(files) for name, files in recording.color_files.items()},
+        "views_found": {name: len(found.of(name)) for name in recording.cameras},
+        "views_used": used,
+        "views_not_associated": _by_camera(association.dropped),
+        "turned_views": _by_camera({(p.view.camera, p.view.frame): "half turn" for p in association.views if p.turned}),
+        "back_views": sum(p.back for p in association.views),
+        "plane_filter": {
+            "dropped_corners": views.filtered.dropped_corners,
+            "dropped_depth": [f"{camera} {frame}" for camera, frame in views.filtered.dropped_views],
+        },
+        "pairs": [
+            {"cameras": list(p.cameras), "common_frames": p.frames, "agreeing": p.votes, "rival": p.rival_votes}
+            for p in association.pairs
+        ],
+    }
+    if evaluation is not None:
+        out["alignment_on_recording"] = evaluation.summary()
+    return out
+
+
+def _steps(start: InitializationResult) -> list[dict[str, Any]]:
+    return [{"camera": s.camera, "from": s.from_camera, "points": s.points, "method": s.method} for s in start.steps]
+
+
+def _by_camera(reasons: Mapping[tuple[str, str], str]) -> dict[str, dict[str, str]]:
+    out: dict[str, dict[str, str]] = {}
+    for (camera, frame), why in sorted(reasons.items()):
+        out.setdefault(camera, {})[frame] = why
+    return out
+
+
+def _finite(numbers: Mapping[str, float]) -> dict[str, float]:
+    return {key: value for key, value in numbers.items() if np.isfinite(value)}
+
+
+def _pairs_with_depth(placed: Sequence[PlacedView]) -> bool:
+    frames = [p.view.frame for p in placed if np.isfinite(p.view.depth_m).any()]
+    return len(frames) > len(set(frames))
+
+
+def _no_views(lenses: IntrinsicsSource) -> Views:
+    empty: tuple[BoardView, ...] = ()
+    nothing = AssociationResult((), {}, {}, (), "")
+    return Views(Detections(empty, ()), lenses, {}, "none", PlaneFilterResult(empty, 0, ()), nothing)

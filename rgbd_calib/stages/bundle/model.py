@@ -1,0 +1,229 @@
+"""Unknowns, residuals and derivatives of the joint bundle.
+
+A view v is one board image of camera l in frame f. With X the board's corners (rigid, with an optional bow), the point
+in the colour camera is p = T_color_world T_world_board X, and
+
+    r_pixel = (psi(K_l, p) - q) / sigma_2d[l]                                  two for each corner      (eq. 2.3)
+    r_depth = ([p]_z - (z + c0_l + c1_l z + ...)) / (k_l z^2)                  one, where depth was measured
+    r_prior = L (theta - theta_0)                                              L'L = inverse prior covariance
+
+A depth pixel measures z alone: its lateral error is the pixel's, twenty times smaller, so r_depth has one row. A
+triangulating sensor has sigma_z = k z^2; k is estimated, and stands for the mean over a corner's cell.
+
+Unknowns: for each camera 6 of its pose (left perturbation in the world; the reference's are held), 9 intrinsics, the
+coefficients of its depth bias; for each frame 6 of the board's pose; 3 of the board's bow. A frame that only one camera
+sees is posed in that camera, so that it does not tie its intrinsics to its pose.
+
+Derivatives: T_world_color <- Exp(xi) T_world_color moves p by R_color_world (p_w x phi - rho); T_world_board <- Exp(xi)
+T_world_board by the opposite.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.polynomial import polynomial
+
+from rgbd_calib.geometry import camera, se3, so3
+from rgbd_calib.geometry.camera import N_INTRINSICS
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.types import Board, IntArray, PlacedView
+
+N_BOW = 3
+POSE, INTRINSICS = slice(0, 6), slice(6, 6 + N_INTRINSICS)
+
+
+@dataclass(frozen=True)
+class Observations:
+    """All views, padded to the same number of corners; V views, N corners, C cameras, F frames."""
+
+    camera: IntArray
+    """(V,)."""
+    frame: IntArray
+    """(V,) number of the board's pose."""
+    shared: IntArray
+    """(V,) bool: the frame is seen by several cameras, and its board is posed in the world."""
+    points_m: FloatArray
+    """(V, N, 3), in the board's frame."""
+    pixels_px: FloatArray
+    """(V, N, 2)."""
+    depth_m: FloatArray
+    """(V, N), as measured; 1 where there is none."""
+    powers: FloatArray
+    """(V, N, B), 1, z, z^2, ... with z held to the range of the camera's depth bias."""
+    has_pixel: IntArray
+    """(V, N) bool."""
+    has_depth: IntArray
+    """(V, N) bool."""
+
+    def keep(self, has_pixel: IntArray, has_depth: IntArray) -> Observations:
+        """The same views with other masks."""
+        return replace(self, has_pixel=has_pixel, has_depth=has_depth)
+
+
+@dataclass(frozen=True)
+class State:
+    """The unknowns."""
+
+    T_world_color: FloatArray
+    """(C, 4, 4)."""
+    intrinsics: FloatArray
+    """(C, 9)."""
+    bias: FloatArray
+    """(C, B), coefficients c0, c1, ...; z_true = z + c0 + c1 z + ..."""
+    T_parent_board: FloatArray
+    """(F, 4, 4); the parent is the world, or the camera of a frame that only one sees."""
+    bow_m: FloatArray
+    """(3,), see :func:`bow_basis`."""
+
+    @property
+    def n_camera(self) -> int:
+        """Parameters of one camera."""
+        return 6 + N_INTRINSICS + self.bias.shape[1]
+
+    @property
+    def n_global(self) -> int:
+        """Parameters of all cameras and the bow."""
+        return len(self.intrinsics) * self.n_camera + N_BOW
+
+    def moved(self, step_global: FloatArray, step_boards: FloatArray) -> State:
+        """The state after a step (n_global,) and (F, 6)."""
+        per_camera = step_global[:-N_BOW].reshape(len(self.intrinsics), self.n_camera)
+        return State(
+            se3.retract(self.T_world_color, per_camera[:, POSE]),
+            self.intrinsics + per_camera[:, INTRINSICS],
+            self.bias + per_camera[:, INTRINSICS.stop :],
+            se3.retract(self.T_parent_board, step_boards),
+            self.bow_m + step_global[-N_BOW:],
+        )
+
+
+@dataclass(frozen=True)
+class Linearized:
+    """Unweighted residuals and derivatives; G = 6 + 9 + B + 3 + 6: camera, bow, board."""
+
+    pixel: FloatArray
+    """(V, N, 2), px."""
+    depth: FloatArray
+    """(V, N), metres over z^2: r_depth times k."""
+    J_pixel: FloatArray
+    """(V, N, 2, G)."""
+    J_depth: FloatArray
+    """(V, N, G)."""
+
+
+def observe(
+    views: Sequence[PlacedView], board: Board, cameras: Sequence[str], bias_range_m: FloatArray, n_bias: int
+) -> tuple[Observations, tuple[str, ...]]:
+    """Views as padded arrays, and the frame of each board pose; `bias_range_m` is (C, 2)."""
+    frames = sorted({placed.view.frame for placed in views})
+    n = max(len(placed.view.ids) for placed in views)
+    V = len(views)
+    pixels, depth, points = np.zeros((V, n, 2)), np.ones((V, n)), np.tile([0.0, 0.0, 0.0], (V, n, 1))
+    has_pixel, has_depth = np.zeros((V, n), bool), np.zeros((V, n), bool)
+    for i, placed in enumerate(views):
+        m = len(placed.view.ids)
+        measured = np.isfinite(placed.view.depth_m)
+        pixels[i, :m], points[i, :m] = placed.view.corners_px, placed.points_m(board)
+        has_pixel[i, :m], has_depth[i, :m] = True, measured
+        depth[i, :m][measured] = placed.view.depth_m[measured]
+    camera_of = np.array([cameras.index(placed.view.camera) for placed in views])
+    frame_of = np.array([frames.index(placed.view.frame) for placed in views])
+    shared = np.bincount(frame_of)[frame_of] > 1
+    low, high = bias_range_m[camera_of, None].transpose(2, 0, 1)
+    powers = polynomial.polyvander(np.clip(depth, low, high), n_bias - 1)
+    return Observations(camera_of, frame_of, shared, points, pixels, depth, powers, has_pixel, has_depth), tuple(frames)
+
+
+def bow_basis(points_m: FloatArray, board: Board) -> FloatArray:
+    """(..., 3) shapes of a bent board by which z changes: x^2 - 1/3, x y, y^2 - 1/3, with x, y from -1 to 1 over it."""
+    x = 2 * points_m[..., 0] / ((board.cols - 1) * board.square_m) - 1
+    y = 2 * points_m[..., 1] / ((board.rows - 1) * board.square_m) - 1
+    return np.stack([x * x - 1 / 3, x * y, y * y - 1 / 3], axis=-1)
+
+
+def points_in_color(state: State, obs: Observations, board: Board) -> tuple[FloatArray, FloatArray]:
+    """Corners (V, N, 3) in the parent's frame and in the colour camera's, metres."""
+    points = obs.points_m.copy()
+    points[..., 2] += bow_basis(obs.points_m, board) @ state.bow_m
+    T = state.T_parent_board[obs.frame]
+    p_parent = np.einsum("vij,vnj->vni", T[:, :3, :3], points) + T[:, None, :3, 3]
+    T_color_parent = _color_parent(state, obs)
+    p_color = np.einsum("vij,vnj->vni", T_color_parent[:, :3, :3], p_parent) + T_color_parent[:, None, :3, 3]
+    return p_parent, p_color
+
+
+def residuals(state: State, obs: Observations, board: Board) -> tuple[FloatArray, FloatArray]:
+    """Unweighted residuals, as :class:`Linearized` has them, zero where there is no observation."""
+    _, p = points_in_color(state, obs, board)
+    return _pixel_residual(state, obs, p), _depth_residual(state, obs, p)
+
+
+def in_front(state: State, obs: Observations, board: Board) -> bool:
+    """True where every observed corner lies before its camera."""
+    return bool(np.all(points_in_color(state, obs, board)[1][obs.has_pixel][:, 2] > 0.01))
+
+
+def linearize(state: State, obs: Observations, board: Board) -> Linearized:
+    """Residuals and their derivatives by camera, bow and board."""
+    p_parent, p = points_in_color(state, obs, board)
+    V, N, C = *obs.has_pixel.shape, state.n_camera
+    vector = np.repeat(state.intrinsics[obs.camera], N, axis=0)
+    safe = np.where(obs.has_pixel[..., None], p, [0.0, 0.0, 1.0]).reshape(-1, 3)
+    _, d_point, d_intrinsics = camera.project_jacobian(vector, safe)
+    d_point, d_intrinsics = d_point.reshape(V, N, 2, 3), d_intrinsics.reshape(V, N, 2, N_INTRINSICS)
+    R_color_parent = _color_parent(state, obs)[:, :3, :3]
+    moved = np.empty((V, N, 3, 6))  # of p_color, by the board's pose
+    moved[..., :3] = -np.einsum("vij,vnjk->vnik", R_color_parent, so3.hat(p_parent))
+    moved[..., 3:] = R_color_parent[:, None]
+    R_color_board = R_color_parent @ state.T_parent_board[obs.frame][:, :3, :3]
+    bent = np.einsum("vi,vnk->vnik", R_color_board[:, :, 2], bow_basis(obs.points_m, board))
+
+    by_pose = np.einsum("vnij,vnjk->vnik", d_point, moved)
+    shared = obs.shared[:, None, None, None]
+    J_pixel = np.concatenate(
+        [
+            np.where(shared, -by_pose, 0.0),
+            d_intrinsics,
+            np.zeros((V, N, 2, C - INTRINSICS.stop)),
+            np.einsum("vnij,vnjk->vnik", d_point, bent),
+            by_pose,
+        ],
+        axis=-1,
+    )
+    by_pose_z = moved[..., 2, :]
+    J_depth = (
+        np.concatenate(
+            [
+                np.where(obs.shared[:, None, None], -by_pose_z, 0.0),
+                np.zeros((V, N, N_INTRINSICS)),
+                -obs.powers,
+                bent[..., 2, :],
+                by_pose_z,
+            ],
+            axis=-1,
+        )
+        / (obs.depth_m**2)[..., None]
+    )
+    J_pixel[~obs.has_pixel] = 0.0
+    J_depth[~obs.has_depth] = 0.0
+    return Linearized(_pixel_residual(state, obs, p), _depth_residual(state, obs, p), J_pixel, J_depth)
+
+
+def _color_parent(state: State, obs: Observations) -> FloatArray:
+    T_color_world = se3.inverse(state.T_world_color)[obs.camera]
+    return np.where(obs.shared[:, None, None], T_color_world, np.eye(4))
+
+
+def _pixel_residual(state: State, obs: Observations, p_color: FloatArray) -> FloatArray:
+    vector = state.intrinsics[obs.camera][:, None, :]
+    with np.errstate(all="ignore"):
+        r = camera.project(np.broadcast_to(vector, (*p_color.shape[:2], N_INTRINSICS)), p_color) - obs.pixels_px
+    return np.where(obs.has_pixel[..., None], r, 0.0)
+
+
+def _depth_residual(state: State, obs: Observations, p_color: FloatArray) -> FloatArray:
+    corrected = obs.depth_m + np.einsum("vnb,vb->vn", obs.powers, state.bias[obs.camera])
+    return np.where(obs.has_depth, (p_color[..., 2] - corrected) / obs.depth_m**2, 0.0)

@@ -1,0 +1,74 @@
+"""What the recording cannot determine: said in words, from the covariance with and without the priors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.stages.bundle.model import INTRINSICS, State
+from rgbd_calib.stages.bundle.solve import Covariance, Prior
+
+PRIOR_SHARE = 0.7
+"""A parameter whose standard deviation is more than this share of its prior's was hardly determined by the data."""
+MAX_CORRELATION = 0.99
+
+NAMES = ("focal length fx", "focal length fy", "principal point cx", "principal point cy", "k1", "k2", "p1", "p2", "k3")
+ADVICE = {
+    "focal": "film the board nearer and farther, and tilted",
+    "principal": "film the board tilted both ways, also turned by a quarter",
+    "lens": "film the board close, into the corners of the image",
+    "depth": "record a wall at known distances, or film the board over a longer range of distances",
+}
+
+
+@dataclass(frozen=True)
+class Observability:
+    sentences: tuple[str, ...]
+    """One for each parameter, or pair of parameters, that the recording does not determine."""
+    reciprocal_condition: float
+    """Of the correlation matrix of the global parameters: smallest over largest eigenvalue."""
+
+
+def examine(cameras: Sequence[str], state: State, cov: Covariance, prior: Prior) -> Observability:
+    """Compare the posterior with the prior, and look for correlations of nearly one."""
+    n = state.n_camera
+    sd = np.sqrt(np.maximum(np.diag(cov.cameras), 0))
+    prior_sd = _prior_sd(prior)
+    sentences = []
+    for i, camera in enumerate(cameras):
+        for k in range(INTRINSICS.start, n):
+            at = i * n + k
+            if prior.free[at] and np.isfinite(prior_sd[at]) and sd[at] > PRIOR_SHARE * prior_sd[at]:
+                name, kind = _name(k)
+                sentences.append(f"{camera}'s {name} is fixed by its prior, not by the recording: {ADVICE[kind]}")
+    free = np.flatnonzero(prior.free & (sd > 0))
+    correlation = cov.cameras[np.ix_(free, free)] / np.outer(sd[free], sd[free])
+    for a, b in np.argwhere(np.triu(np.abs(correlation), 1) > MAX_CORRELATION):
+        i, j = free[a], free[b]
+        if i // n == j // n and i // n < len(cameras) and min(i % n, j % n) >= INTRINSICS.start:
+            (name_a, kind), (name_b, _) = _name(i % n), _name(j % n)
+            sentences.append(
+                f"{cameras[i // n]}'s {name_a} and {name_b} cannot be told apart (correlation {correlation[a, b]:+.3f}): "
+                f"{ADVICE[kind]}"
+            )
+    eigenvalues = np.linalg.eigvalsh(correlation) if len(free) else np.ones(1)
+    return Observability(tuple(sentences), float(max(eigenvalues[0], 0) / eigenvalues[-1]))
+
+
+def _prior_sd(prior: Prior) -> FloatArray:
+    information = prior.information
+    known = np.flatnonzero(np.diag(information) > 0)
+    out = np.full(len(information), np.inf)
+    out[known] = np.sqrt(np.diag(np.linalg.pinv(information[np.ix_(known, known)], hermitian=True)))
+    return out
+
+
+def _name(k: int) -> tuple[str, str]:
+    """Name of a camera's local parameter, and the kind of advice for it."""
+    if k >= INTRINSICS.stop:
+        return f"depth bias c{k - INTRINSICS.stop}", "depth"
+    name = NAMES[k - INTRINSICS.start]
+    return name, name.split()[0] if " " in name else "lens"

@@ -1,0 +1,124 @@
+"""Weights of the bundle: variance components of pixels and depth, robust weights, and the pose part of each view.
+
+Helmert's and Forstner's estimate of a variance from the residuals of its group: sigma^2 = sum r^2 / redundancy, with
+redundancy = residuals - tr(J Cov J'), what the fit absorbed. Groups: the pixels of each camera, off the pose part; the
+depth of each camera, off it; and for pixels and for depth the pose part of all views together (its ratio to the rest, at
+least 1).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.stages.bundle import model, solve
+from rgbd_calib.stages.bundle.model import Observations, State
+from rgbd_calib.stages.bundle.solve import Covariance, Prior, System, Weights
+from rgbd_calib.types import Board
+
+MIN_REDUNDANCY = 10.0
+"""A group with less takes the variance of all cameras together."""
+
+
+def initial(obs: Observations, n_cameras: int, sigma_2d_px: float, k_depth: float) -> Weights:
+    """Equal weights, no pose part."""
+    V, N = obs.has_pixel.shape
+    one = np.ones((V, N))
+    return Weights(
+        np.full(n_cameras, sigma_2d_px),
+        np.full(n_cameras, k_depth),
+        1.0,
+        1.0,
+        one,
+        one,
+        np.zeros((V, 2 * N, 6)),
+        np.zeros((V, N, 3)),
+    )
+
+
+def update(
+    state: State, obs: Observations, board: Board, weights: Weights, prior: Prior, huber: float
+) -> tuple[Weights, System, Covariance]:
+    """The next weights, and the equations and covariance at `state` under the present ones.
+
+    Raises
+    ------
+    CalibrationError
+        The equations are singular.
+    """
+    system = solve.build(state, obs, board, weights, prior)
+    cov = solve.covariance(system, prior.free)
+    traces = solve.view_traces(system, cov, obs)
+    squares = solve.sums_of_squares(state, obs, board, weights)
+    dims2, dims3 = (np.sum(np.any(Q != 0, axis=1), axis=1) for Q in (weights.Q_pixel, weights.Q_depth))
+    rows = np.stack(
+        [
+            2 * np.sum(weights.robust_pixel * obs.has_pixel, axis=1) - dims2,
+            dims2,
+            np.sum(weights.robust_depth * obs.has_depth, axis=1) - dims3,
+            dims3,
+        ]
+    )
+    redundancy = rows - traces
+    factor2 = _by_camera(squares[0], redundancy[0], obs.camera, len(weights.sigma_2d_px))
+    factor3 = _by_camera(squares[2], redundancy[2], obs.camera, len(weights.k_depth))
+    ratio2, ratio3 = (
+        _ratio(weights_ratio, squares[part], redundancy[part], factor[obs.camera])
+        for weights_ratio, part, factor in ((weights.ratio_pixel, 1, factor2), (weights.ratio_depth, 3, factor3))
+    )
+    sigma_2d_px, k_depth = weights.sigma_2d_px * np.sqrt(factor2), weights.k_depth * np.sqrt(factor3)
+    Q_pixel, Q_depth = _pose_parts(state, obs, board)
+    pixel, depth = model.residuals(state, obs, board)
+    robust_pixel = _huber(_off_pose(pixel, Q_pixel) / sigma_2d_px[obs.camera, None, None], huber)
+    robust_depth = _huber(_off_pose(depth[..., None], Q_depth) / k_depth[obs.camera, None, None], huber)
+    new = Weights(sigma_2d_px, k_depth, ratio2, ratio3, robust_pixel, robust_depth, Q_pixel, Q_depth)
+    return new, system, cov
+
+
+def change(a: Weights, b: Weights) -> float:
+    """Largest relative difference of any sigma or ratio."""
+    pairs = ((a.sigma_2d_px, b.sigma_2d_px), (a.k_depth, b.k_depth), (a.ratio_pixel, b.ratio_pixel))
+    return max(float(np.max(np.abs(np.log(np.divide(x, y))))) for x, y in (*pairs, (a.ratio_depth, b.ratio_depth)))
+
+
+def _by_camera(squares: FloatArray, redundancy: FloatArray, camera: FloatArray, n: int) -> FloatArray:
+    """Variance factor of each camera (n,); the pooled one where a camera has too little redundancy."""
+    total, left = (np.bincount(camera, x, minlength=n) for x in (squares, redundancy))
+    pooled = total.sum() / left.sum() if left.sum() > MIN_REDUNDANCY else 1.0
+    factor = np.where(left > MIN_REDUNDANCY, total / np.maximum(left, 1e-9), pooled)
+    return np.maximum(factor, 1e-12)
+
+
+def _ratio(ratio: float, squares: FloatArray, redundancy: FloatArray, factor: FloatArray) -> float:
+    """The pose part's standard deviation over the rest's, at least 1."""
+    left = float(redundancy.sum())
+    if left < MIN_REDUNDANCY:
+        return ratio
+    return max(1.0, ratio * float(np.sqrt(np.sum(squares / factor) / left)))
+
+
+def _pose_parts(state: State, obs: Observations, board: Board) -> tuple[FloatArray, FloatArray]:
+    """Orthonormal bases of what a change of the board's pose does to a view's pixels (6) and to its depth (3)."""
+    lin = model.linearize(state, obs, board)
+    V, N = obs.has_pixel.shape
+    J2 = lin.J_pixel[..., -6:].reshape(V, 2 * N, 6)
+    flat = np.stack([obs.has_depth, *(obs.points_m[..., k] * obs.has_depth for k in (0, 1))], axis=-1)
+    return _orthonormal(J2), _orthonormal(flat / (obs.depth_m**2)[..., None])
+
+
+def _orthonormal(A: FloatArray) -> FloatArray:
+    """Orthonormal columns that span those of A (V, n, d); zero columns beyond its rank."""
+    U, s, _ = np.linalg.svd(A / np.maximum(np.linalg.norm(A, axis=1, keepdims=True), 1e-300), full_matrices=False)
+    return U * (s > 1e-6 * np.maximum(s[:, :1], 1e-300))[:, None, :] * (s[:, :1] > 0)[:, None, :]
+
+
+def _off_pose(r: FloatArray, Q: FloatArray) -> FloatArray:
+    """Residuals (V, N, m) less their pose part."""
+    flat = r.reshape(len(r), -1)
+    return (flat - np.einsum("vnd,vmd,vm->vn", Q, Q, flat, optimize=True)).reshape(r.shape)
+
+
+def _huber(r_sigma: FloatArray, huber: float) -> FloatArray:
+    """Weights (V, N) of residuals (V, N, m) in sigmas for each coordinate."""
+    norm = np.linalg.norm(r_sigma, axis=-1) / np.sqrt(r_sigma.shape[-1])
+    return np.minimum(1.0, huber / np.maximum(norm, 1e-12))
