@@ -26,10 +26,10 @@ _SAME_M = 1e-3
 
 # places in the room, metres, about 1.3 m apart, on a line that bends around the furniture along the back wall
 _PLACES_M = {
-    2: ((-0.7, -1.45, 1.5), (0.65, -1.5, 1.6)),
-    4: ((-1.9, -0.85, 1.5), (-0.75, -1.5, 1.65), (0.6, -1.55, 1.55), (1.75, -0.95, 1.6)),
+    2: ((-0.7, -1.0, 1.5), (0.6, -1.05, 1.6)),
+    4: ((-1.85, -0.5, 1.55), (-0.75, -1.05, 1.65), (0.55, -1.1, 1.55), (1.6, -0.6, 1.6)),
 }
-_TARGET_M = (-0.1, 1.75, 0.8)
+_TARGET_M = (-0.2, 1.75, 0.6)
 
 
 def paper_scene(n_cameras: int) -> tuple[Scene, dict[str, Intrinsics], dict[str, FloatArray]]:

@@ -92,7 +92,7 @@ def close_poses(
     CalibrationError
         The board cannot be seen whole by this camera.
     """
-    alone = TrueRig(*({which: part[which]} for part in (rig.intrinsics, rig.T_room_color, rig.depth_bias)))
+    alone = TrueRig({which: rig.intrinsics[which]}, {which: rig.T_room_color[which]}, {which: rig.depth_bias[which]})
     K = rig.intrinsics[which]
     covered = np.zeros((12, 16))
     taken = np.zeros((0, 1, 5))

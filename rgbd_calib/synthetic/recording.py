@@ -102,13 +102,12 @@ def simulate(folder: Path, params: SimulationParams, jobs: int, progress: Progre
     shared, close, work = _plan(truth, params)
     with tempfile.TemporaryDirectory(prefix="rgbd-calib-") as rooms:
         setting = _Setting(params, truth, folder, Path(rooms))
-        with _one_thread_each(), get_context("spawn").Pool(jobs, _start, (setting,)) as pool:
-            rendered = pool.imap_unordered(_make_room, truth.cameras)
-            for _ in progress(rendered, len(truth.cameras), "empty room"):
+        corners: dict[tuple[str, str, str], list[tuple[Any, ...]]] = {}
+        with _workers(setting, jobs) as run:
+            for _ in progress(run(_make_room, truth.cameras), len(truth.cameras), "empty room"):
                 pass
-            corners: dict[tuple[str, str, str], list[tuple[Any, ...]]] = {}
-            for job_key, rows in progress(pool.imap_unordered(_make_images, work), len(work), "images"):
-                corners[job_key] = rows
+            for key, rows in progress(run(_make_images, work), len(work), "images"):
+                corners[key] = rows
     ordered = [row for key in sorted(corners) for row in corners[key]]
     files.write_table(folder / "true_corners.csv", CORNER_COLUMNS, ordered)
     _write_datasets(folder, params, truth, work)
@@ -122,18 +121,24 @@ def simulate(folder: Path, params: SimulationParams, jobs: int, progress: Progre
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Processes started in here use one thread each for linear algebra: there are enough processes."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
+def _workers(setting: _Setting, jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]]:
+    """A `map` in any order: over processes of one thread each, or, with one job, in this process."""
+    if jobs == 1:
+        _start(setting)
+        yield map
+        return
+    threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in threads}
+    os.environ.update(dict.fromkeys(threads, "1"))
     try:
-        yield
+        pool = get_context("spawn").Pool(jobs, _start, (setting,))
     finally:
         for name, value in before.items():
             os.environ.pop(name)
             if value is not None:
                 os.environ[name] = value
+    with pool:
+        yield pool.imap_unordered
 
 
 def true_rig_of(params: SimulationParams) -> TrueRig:
@@ -177,6 +182,8 @@ _setting: _Setting
 def _start(setting: _Setting) -> None:
     global _setting  # one for each process
     _setting = setting
+    for cache in (_view, _room_picture):
+        cache.cache_clear()
     import cv2
 
     cv2.setNumThreads(1)

@@ -19,9 +19,9 @@ from rgbd_calib.synthetic.scene import Caster, Hits, Scene
 
 ROOM_SAMPLES = 8
 """Rays for a pixel of the room on one surface."""
-EDGE_SAMPLES = 32
+EDGE_SAMPLES = 12
 """Rays for a pixel that an outline crosses."""
-PRINT_SAMPLES = 64
+PRINT_SAMPLES = 48
 """Places in a pixel that an edge of the board's print crosses: its corners are what is measured."""
 _CHUNK_RAYS = 400_000
 
@@ -248,8 +248,8 @@ def _mean_albedo(
         for edge in (scene.edges_u_m[q], scene.edges_v_m[q]):
             axis = edge / np.linalg.norm(edge)
             places.append(view.on_plane(pixels[mine], offsets, normal, float(normal @ rel), axis) - axis @ rel)
-        color = textures.albedo(scene.materials[scene.material[q]], *(p.ravel() for p in places), np.zeros(1))
-        mean[mine] = color.reshape(len(mine), PRINT_SAMPLES, 3).mean(axis=1)
+        material = scene.materials[scene.material[q]]
+        mean[mine] = textures.print_mean(material, textures.ink(material, *places).mean(axis=1))
     return mean
 
 
@@ -257,7 +257,8 @@ def _spread(n: int, samples: int, rng: np.random.Generator) -> FloatArray:
     """Places (n, samples, 2) spread evenly over the unit square (R2 sequence, M. Roberts 2018), shifted at random
     for each pixel, so that the mean over many pixels has no bias."""
     golden = np.array([0.7548776662466927, 0.5698402909980532])
-    places: FloatArray = (np.arange(samples)[:, None] * golden + rng.random((n, 1, 2))) % 1.0
+    places: FloatArray = (np.arange(1, samples + 1)[:, None] * golden) % 1.0 + rng.random((n, 1, 2))
+    places -= places >= 1.0
     return places
 
 

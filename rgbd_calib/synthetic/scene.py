@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
@@ -69,13 +70,13 @@ def join(scenes: Iterable[Scene]) -> Scene:
     )
 
 
-def quad(corner_m: FloatArray, u_m: FloatArray, v_m: FloatArray, material: Material) -> Scene:
+def quad(corner_m: ArrayLike, u_m: ArrayLike, v_m: ArrayLike, material: Material) -> Scene:
     """One rectangle."""
     corner, u, v = (np.asarray(a, float).reshape(1, 3) for a in (corner_m, u_m, v_m))
     return Scene(corner, u, v, np.zeros(1, int), (material,))
 
 
-def box(low_m: FloatArray, high_m: FloatArray, material: Material) -> Scene:
+def box(low_m: ArrayLike, high_m: ArrayLike, material: Material) -> Scene:
     """A block between two opposite corners, edges along the axes; textures run along the longer edge of each face."""
     low, high = np.asarray(low_m, float), np.asarray(high_m, float)
     x, y, z = np.diag(high - low)
@@ -84,13 +85,13 @@ def box(low_m: FloatArray, high_m: FloatArray, material: Material) -> Scene:
     return join(quad(c, u, v, material) for c, u, v in turned)
 
 
-def rod(bottom_m: FloatArray, top_m: FloatArray, radius_m: float, material: Material, sides: int = 10) -> Scene:
+def rod(bottom_m: ArrayLike, top_m: ArrayLike, radius_m: float, material: Material, sides: int = 10) -> Scene:
     """A round rod between two points, without end caps."""
     return cone(bottom_m, top_m, radius_m, radius_m, material, sides)
 
 
 def cone(
-    bottom_m: FloatArray, top_m: FloatArray, radius_m: float, top_radius_m: float, material: Material, sides: int = 12
+    bottom_m: ArrayLike, top_m: ArrayLike, radius_m: float, top_radius_m: float, material: Material, sides: int = 12
 ) -> Scene:
     """A rod that widens or narrows (lamp shades, flower pots), without end caps; its faces are parallelograms
     that overlap a little where it narrows."""

@@ -175,11 +175,21 @@ def _squares(m: Material, s: FloatArray, t: FloatArray) -> tuple[np.ndarray, np.
     return np.floor((s - border_m) / m.size_m).astype(int), np.floor((t - border_m) / m.size_m).astype(int)
 
 
+def ink(m: Material, s_m: FloatArray, t_m: FloatArray) -> np.ndarray:
+    """Is a checkerboard black at (s, t), any shape? Its first square is."""
+    across, down, border_m = m.params
+    i, j = np.floor((s_m - border_m) / m.size_m), np.floor((t_m - border_m) / m.size_m)
+    return (i >= 0) & (i < across) & (j >= 0) & (j < down) & ((i + j) % 2 == 0)
+
+
+def print_mean(m: Material, dark: FloatArray) -> FloatArray:
+    """Linear albedo (n, 3) of a checkerboard where a share `dark` (n,) of it is black."""
+    return _mix(m.colors[1], m.colors[0], dark)
+
+
 def _checker(m: Material, s: FloatArray, t: FloatArray, salt: FloatArray) -> FloatArray:
-    """Squares of `size_m` inside a border; colours[0] is the first square's, colours[1] the paper's."""
-    i, j = _squares(m, s, t)
-    dark = (cells(m, s, t) > 0) & ((i + j) % 2 == 0)
-    return np.where(dark[:, None], linear(np.array(m.colors[0])), linear(np.array(m.colors[1])))
+    """Squares of `size_m` inside a border; colours[0] is the ink's, colours[1] the paper's."""
+    return print_mean(m, ink(m, s, t).astype(float))
 
 
 _KINDS = {
