@@ -72,3 +72,13 @@ def test_only_io_reads_and_writes_yaml_and_images():
             text = path.read_text(encoding="utf-8")
             for word in ("imread", "imwrite", "open(", "print(", "yaml", "click"):
                 assert f" {word}" not in text and f".{word}" not in text and f"({word}" not in text, f"{path}: {word}"
+
+
+def test_choices_of_options_are_those_of_the_modules_that_do_the_work():
+    """Commands repeat them, since importing them would slow --help down."""
+    from rgbd_calib.cli import export, fuse
+    from rgbd_calib.io import exports
+    from rgbd_calib.report import splat
+
+    assert fuse.VIEWS == splat.VIEWS
+    assert export.FORMATS == tuple(exports.FORMATS)

@@ -96,6 +96,19 @@ def test_up_in_the_picture_is_up_for_the_cameras():
     assert columns.max() < 20 and 40 < rows.mean() < 60
 
 
+def test_pictures_look_where_clouds_overlap():
+    rng = np.random.default_rng(0)
+    common, left, right = (
+        rng.uniform(-0.5, 0.5, (20_000, 3)) + np.array(c) for c in ((0, 0, 3), (-4, 0, 3), (4, 0, 3))
+    )
+    clouds_m = [np.concatenate([common[::2], left]), np.concatenate([common[1::2], right])]
+    focus_m = splat.seen_by_several(clouds_m)
+    # cells are 1 % of the extent of 9 m
+    assert np.abs(focus_m - [0, 0, 3]).max() < 0.5 + 0.09
+    assert len(splat.seen_by_several([left, right])) == 40_000
+    assert len(splat.seen_by_several([left])) == 20_000
+
+
 def test_every_camera_has_its_own_color():
     assert len({splat.camera_color(i) for i in range(40)}) == 40
 

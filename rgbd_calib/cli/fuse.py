@@ -47,10 +47,10 @@ def command(
     output: Path,
     overwrite: bool,
 ) -> None:
-    """Fuse all cameras' depth at one instant into one cloud in the world's frame, bias removed.
+    """Fuse all cameras' depth into one cloud, with pictures.
 
-    Points on depth edges are left out. Surfaces that two cameras see should be one surface: with --color camera
-    its colours mingle where the rig is right and lie side by side where it is not.
+    One instant, in the world's frame, depth bias removed. Points on depth edges are left out. Surfaces that two cameras see should be one surface: with --color camera
+    its colours mingle where the rig is right and lie side by side where it is not. Pictures show where clouds overlap.
 
     \b
     Examples:
@@ -99,7 +99,8 @@ def command(
         in_order = sorted(rig.cameras, key=lambda name: name != rig.reference)
         poses = [rig.cameras[name].T_world_color for name in in_order]
         shown = {c.camera: legend[c.camera] for c in clouds} if color == "camera" else {}
+        focus_m = splat.seen_by_several([cloud.points_m for cloud in clouds])
         for view, path in pictures.items():
-            picture = splat.render(points_m, colors, splat.viewpoint(view, poses, points_m))
+            picture = splat.render(points_m, colors, splat.viewpoint(view, poses, focus_m))
             write_picture(path, splat.with_legend(picture, shown))
             say(f"  seen from {view} -> {path}")

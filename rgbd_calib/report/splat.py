@@ -7,7 +7,7 @@ it, so that shapes show without normals.
 from __future__ import annotations
 
 import colorsys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,8 @@ VIEWS = ("front", "back", "left", "right", "top", "oblique")
 _COLORS = ((230, 25, 25), (30, 170, 40), (40, 70, 240), (225, 30, 225), (255, 140, 0), (0, 180, 190), (130, 80, 40))
 _OVERSAMPLE = 2
 _SHADE = 6.0  # strength of the shading, by eye
+_OVERLAP_SHARE = 0.01  # cell of the grid that tells where clouds overlap, as share of their extent
+_OVERLAP_CELLS = 30  # fewer are chance contacts
 _FIELD_RAD = np.radians(40.0)
 
 
@@ -73,13 +75,24 @@ def viewpoint(name: str, T_world_color: Iterable[FloatArray], points_m: FloatArr
     return Viewpoint(R_view_world, center_m, max(float(np.percentile(np.abs(spread), 99)), 1e-3))
 
 
+def seen_by_several(clouds_m: Sequence[FloatArray]) -> FloatArray:
+    """Points (n, 3) near which at least two clouds have points: where misalignment shows. All, where there are few."""
+    everything = np.concatenate(clouds_m)
+    low, high = np.percentile(everything, [1, 99], axis=0)
+    voxel_m = max(float(np.max(high - low)) * _OVERLAP_SHARE, 1e-6)
+    cells = [np.unique(np.floor(cloud / voxel_m).astype(np.int64), axis=0) for cloud in clouds_m]
+    occupied, counts = np.unique(np.concatenate(cells), axis=0, return_counts=True)
+    centers_m = np.asarray((occupied[counts > 1] + 0.5) * voxel_m, float)
+    return centers_m if len(centers_m) >= _OVERLAP_CELLS else everything
+
+
 def render(
     points_m: FloatArray, colors: np.ndarray, view: Viewpoint, width: int = 960, height: int = 720
 ) -> np.ndarray:
     """Picture (height, width, 3), uint8, R G B, on white, of points (n, 3), metres, with colours (n, 3), uint8."""
     wide, high = width * _OVERSAMPLE, height * _OVERSAMPLE
     focal = 0.5 * min(wide, high) / np.tan(_FIELD_RAD / 2)
-    distance_m = 1.05 * view.radius_m / np.tan(_FIELD_RAD / 2)
+    distance_m = 1.15 * view.radius_m / np.tan(_FIELD_RAD / 2)
     p = (points_m - view.center_m) @ view.R_view_world.T + [0, 0, distance_m]
     number = np.nonzero(p[:, 2] > 0.05 * distance_m)[0]
     p = p[number]
