@@ -65,6 +65,32 @@ def parse_board(size: str | None, square_m: float | None, thickness_m: float | N
     return Board(int(cols), int(rows), square_m, thickness_m is not None, thickness_m or 0.0)
 
 
+config_option = click.option(
+    "--config", type=click.Path(path_type=Path), help="YAML with settings; the command line wins over it."
+)
+corners_option = click.option(
+    "--corners", type=click.Path(path_type=Path), help="corners.csv of `rgbd-calib detect`, instead of detecting again."
+)
+
+
+def method_options(methods: tuple[str, ...]) -> Decorator:
+    """--method, --sigma-2d, --sigma-3d, --reference and --seed, for the commands that estimate poses."""
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        positive = click.FloatRange(0, min_open=True)
+        for option in (
+            click.option("--seed", type=int, default=None, help="Seed of every random choice.  [default: 0]"),
+            click.option("--reference", help="Camera whose frame is the world.  [default: the first]"),
+            click.option("--sigma-3d", type=positive, help="Known noise of a 3D coordinate, m (not with bundle)."),
+            click.option("--sigma-2d", type=positive, help="Known noise of a pixel coordinate, px (not with bundle)."),
+            click.option("--method", type=click.Choice(methods), help=f"Estimator.  [default: {methods[-1]}]"),
+        ):
+            function = option(function)
+        return function
+
+    return decorate
+
+
 def output_option(what: str, required: bool = True) -> Decorator:
     """-o/--output FILE, described by `what`."""
     return click.option(

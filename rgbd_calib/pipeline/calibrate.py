@@ -32,7 +32,7 @@ from rgbd_calib.stages.bundle import (
 from rgbd_calib.stages.correspondence import correspond
 from rgbd_calib.stages.initialization import InitializationResult, initialize
 from rgbd_calib.stages.plane_filter import PlaneFilterResult, filter_planes
-from rgbd_calib.stages.refinement import RefinementResult, refine
+from rgbd_calib.stages.refinement import RefinementParams, RefinementResult, refine
 from rgbd_calib.types import Board, BoardView, Correspondences, DepthBias, PlacedView, Rig, RigCamera
 
 
@@ -102,7 +102,7 @@ def calibrate(
             rig = _rig_of_poses(start.T_world_color, {}, views, reference)
             quality = {"initialization": _steps(start)}
         else:
-            params = replace(config.refinement, method=config.method)
+            params = _refinement(config)
             refined = refine(data, lenses, start.T_world_color, reference, params)
             rig = _rig_of_refinement(refined, views, reference)
             quality = {"initialization": _steps(start), **refinement_quality(refined)}
@@ -171,7 +171,7 @@ def refine_correspondences(
         quality: dict[str, Any] = {"initialization": _steps(start)}
         refined = None
     else:
-        params = replace(config.refinement, method=config.method)
+        params = _refinement(config)
         refined = refine(data, lenses.intrinsics, start.T_world_color, reference, params)
         rig = _rig_of_refinement(refined, views, reference)
         quality = {"initialization": _steps(start), **refinement_quality(refined)}
@@ -196,6 +196,12 @@ def provenance_of(config: Config) -> dict[str, Any]:
         "seed": config.seed,
         "config": plain(as_plain(config)),
     }
+
+
+def _refinement(config: Config) -> RefinementParams:
+    if config.method == "init" or config.method == "bundle":
+        raise ValueError(f"{config.method} is no method of the refinement")
+    return replace(config.refinement, method=config.method)
 
 
 def _bundle(views: Views, board: Board, recording: Recording, config: Config, reference: str) -> BundleResult:
@@ -269,7 +275,7 @@ def _rig_of_refinement(refined: RefinementResult, views: Views, reference: str) 
 def refinement_quality(refined: RefinementResult) -> dict[str, Any]:
     """What the refinement says of itself, as plain numbers."""
     return {
-        "status": refined.status.name.lower(),
+        "status": refined.status,
         "message": refined.message,
         **_finite(
             {

@@ -6,11 +6,13 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
 
 from rgbd_calib.errors import CalibrationError, ConfigError
+from rgbd_calib.io.correspondences import read_corners
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.stages.detect import DetectParams, detect_view
 from rgbd_calib.types import Board, BoardView
@@ -87,3 +89,32 @@ def detect(
             "images. Check cols and rows in dataset.yaml (they count inner corners), the light and the focus"
         )
     return Detections(views, tuple(image for image, view in zip(images, found, strict=True) if view is None))
+
+
+def detections_from(
+    recording: Recording, corners: Path | None, params: DetectParams, jobs: int | None, progress: Progress
+) -> Detections:
+    """Detections read from corners.csv, or made now.
+
+    Raises
+    ------
+    ConfigError
+        corners.csv has a camera or corner that the recording has not.
+    """
+    if corners is None:
+        return detect(recording, params, jobs, progress)
+    views, board = read_corners(corners), board_of(recording)
+    for view in views:
+        if view.frame not in recording.color_files.get(view.camera, {}):
+            raise ConfigError(
+                f"{corners}: camera {view.camera}, frame {view.frame} is not in {recording.path}. Detect again with "
+                f"`rgbd-calib detect {recording.path}`"
+            )
+        if view.ids.min() < 0 or view.ids.max() >= board.n_corners or len(set(view.ids.tolist())) < len(view.ids):
+            raise ConfigError(
+                f"{corners}: camera {view.camera}, frame {view.frame}: features 0 to {board.n_corners - 1}, each once, are "
+                f"needed for a board of {board.cols} x {board.rows} inner corners. Detect again with this board"
+            )
+    found = {(view.camera, view.frame) for view in views}
+    images = [(camera, frame) for camera, files in recording.color_files.items() for frame in files]
+    return Detections(views, tuple(image for image in images if image not in found))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,15 @@ import numpy as np
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import camera, se3, so3
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.types import Board, PlacedView, Rig
+from rgbd_calib.io.recording import open_recording
+from rgbd_calib.io.rig import read_boards, read_rig
+from rgbd_calib.pipeline.config import Config
+from rgbd_calib.pipeline.detection import Progress, board_of, detections_from
+from rgbd_calib.pipeline.rig_inputs import common_cameras
+from rgbd_calib.stages.association import label_views
+from rgbd_calib.stages.board_pose import pose_view
+from rgbd_calib.stages.plane_filter import filter_planes
+from rgbd_calib.types import Board, BoardView, PlacedView, Rig
 
 GRID = 12
 """Points along each side of the working volume."""
@@ -143,6 +152,36 @@ def against_views(rig: Rig, placed: Sequence[PlacedView], board: Board) -> Evalu
     return Evaluation(tuple(pairs), {})
 
 
+def evaluate_truth(rig: Path, truth: Path) -> dict[str, Any]:
+    """Summary of a rig file against a simulation's truth.yaml; the board is that of the recording beside it."""
+    beside = truth.parent / "extrinsic"
+    board = open_recording(beside).board if beside.is_dir() else None
+    return against_truth(read_rig(rig), read_rig(truth), read_boards(truth), board).summary()
+
+
+def evaluate_recording(
+    rig_path: Path, path: Path, corners: Path | None, config: Config, jobs: int | None, progress: Progress
+) -> dict[str, Any]:
+    """Summary of a rig file against a recording of the board."""
+    rig, recording = read_rig(rig_path), open_recording(path)
+    board, shared = board_of(recording), common_cameras(recording, rig)
+    found = detections_from(recording, corners, config.detect, jobs, progress)
+    return against_views(rig, place_views(rig, found.views, board, shared, config), board).summary()
+
+
+def place_views(
+    rig: Rig, views: Sequence[BoardView], board: Board, cameras: Sequence[str], config: Config
+) -> tuple[PlacedView, ...]:
+    """Views of these cameras, posed by the rig's intrinsics; face and half turn as they agree best with the rig's poses."""
+    lenses = {name: rig.cameras[name].intrinsics for name in cameras}
+    biases = {name: bias for name in cameras if (bias := rig.cameras[name].depth_bias) is not None}
+    mine = [view for view in views if view.camera in lenses]
+    filtered = filter_planes(mine, lenses, biases, config.plane_filter, config.seed)
+    posed = [pose_view(v, board, lenses[v.camera], biases.get(v.camera), config.board_pose) for v in filtered.views]
+    T_world_color = {name: rig.cameras[name].T_world_color for name in cameras}
+    return label_views(posed, board, T_world_color, config.association)[0]
+
+
 @dataclass(frozen=True)
 class _Observed:
     pixels_px: FloatArray
@@ -176,7 +215,8 @@ def _volume(truth: Rig, boards: Mapping[str, FloatArray], board: Board | None) -
     else:
         corners = np.concatenate([_frustum(truth, name) for name in truth.cameras])
     sides = [np.linspace(lo, hi, GRID) for lo, hi in zip(corners.min(axis=0), corners.max(axis=0), strict=True)]
-    return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    points: FloatArray = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    return points
 
 
 def _frustum(truth: Rig, name: str) -> FloatArray:

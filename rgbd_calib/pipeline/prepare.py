@@ -87,11 +87,19 @@ def resolve_intrinsics(
     return IntrinsicsSource({name: given[name] for name in cameras}, origin, results, (), {})
 
 
+def given_intrinsics(source: Path, cameras: Sequence[str]) -> IntrinsicsSource:
+    """Intrinsics of these cameras from a file."""
+    given = read_intrinsics(source)
+    _need(source, "intrinsics", cameras, given)
+    return IntrinsicsSource({name: given[name] for name in cameras}, str(source), {}, (), read_intrinsics_sd(source))
+
+
 def depth_bias_of_recording(
     recording: Recording,
     intrinsics: Mapping[str, Intrinsics],
     config: Config,
     detections: Detections | None = None,
+    jobs: int | None = None,
     progress: Progress = silent,
 ) -> dict[str, DepthBiasFit]:
     """Depth bias of each camera that has depth: from distances.csv, else from the board's pose by pixels.
@@ -114,7 +122,7 @@ def depth_bias_of_recording(
                     f"{recording.path}: {name} has no distances.csv, so that the true depth must come from the board's pose, "
                     "and for this the camera's intrinsics are needed. Give --intrinsics, or write distances.csv"
                 )
-            detections = detections or detect(recording, config.detect, progress=progress)
+            detections = detections or detect(recording, config.detect, jobs, progress)
             z_m, z_true_m = _board_pairs(detections.of(name), recording, intrinsics[name])
         out[name] = fit_with_data(z_m, z_true_m, config.depth_bias, camera=name)
     if not out:

@@ -12,7 +12,7 @@ One frame's board may be read from either side: the choice of its first view is 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -73,24 +73,36 @@ def associate(
         nothing decides.
     """
     params = params or AssociationParams()
-    motions = _motions(board)
-    by_frame: dict[str, dict[str, PosedView]] = {}
-    for posed in views:
-        by_frame.setdefault(posed.view.frame, {})[posed.view.camera] = posed
-    pairs = _vote(by_frame, motions, params)
+    pairs = _vote(_by_frame(views), _motions(board), params)
     _check_connected(cameras, pairs)
     T_world_color = _chain(reference, cameras, pairs)
+    placed, dropped = label_views(views, board, T_world_color, params)
+    return AssociationResult(placed, T_world_color, dropped, tuple(pairs), reference)
+
+
+def label_views(
+    views: Sequence[PosedView], board: Board, T_world_color: Mapping[str, FloatArray], params: AssociationParams
+) -> tuple[tuple[PlacedView, ...], dict[tuple[str, str], str]]:
+    """Face and turn of every view by known camera poses; and why, by (camera, frame), of the views that fit in none."""
+    by_frame, motions = _by_frame(views), _motions(board)
     placed: list[PlacedView] = []
     dropped: dict[tuple[str, str], str] = {}
     for frame in sorted(by_frame):
         good, bad = _choose(by_frame[frame], motions, T_world_color, params)
         placed += good
         dropped |= {(camera, frame): why for camera, why in bad.items()}
-    return AssociationResult(tuple(placed), T_world_color, dropped, tuple(pairs), reference)
+    return tuple(placed), dropped
 
 
 Motion = tuple[bool, bool, FloatArray]
 """(back, turned, T_face_board)."""
+
+
+def _by_frame(views: Sequence[PosedView]) -> dict[str, dict[str, PosedView]]:
+    out: dict[str, dict[str, PosedView]] = {}
+    for posed in views:
+        out.setdefault(posed.view.frame, {})[posed.view.camera] = posed
+    return out
 
 
 def _motions(board: Board) -> list[Motion]:
@@ -177,7 +189,10 @@ def _chain(reference: str, cameras: Sequence[str], pairs: Sequence[PairVotes]) -
 
 
 def _choose(
-    views: dict[str, PosedView], motions: list[Motion], T_world_color: dict[str, FloatArray], params: AssociationParams
+    views: dict[str, PosedView],
+    motions: list[Motion],
+    T_world_color: Mapping[str, FloatArray],
+    params: AssociationParams,
 ) -> tuple[list[PlacedView], dict[str, str]]:
     """Choices of one frame that agree with the poses of the cameras, and the views that do not fit."""
     best: list[tuple[str, int]] = []

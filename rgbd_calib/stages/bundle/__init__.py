@@ -8,7 +8,7 @@ Measured depth pins them. :mod:`.model` has the unknowns and residuals, :mod:`.s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -173,7 +173,7 @@ def bundle(
     for _ in range(params.max_rounds):
         solution = solve.minimize(state, obs, board, weights, prior, params.max_iterations, params.tolerance)
         state, iterations = solution.state, iterations + solution.iterations
-        new, system, cov = variance.update(state, obs, board, weights, prior, params.huber_sigmas)
+        new = variance.update(state, obs, board, weights, prior, params.huber_sigmas)
         moved = variance.change(weights, new)
         weights = new
         history.append(
@@ -199,9 +199,13 @@ def bundle(
         if moved < params.weight_tolerance:
             settled = True
             break
-    final = solve.minimize(state, obs, board, weights, prior, params.max_iterations, params.tolerance)
-    system = solve.build(final.state, obs, board, weights, prior)
-    cov = solve.covariance(system, prior.free)
+    # what the recording does not determine is held at its prior; the covariance still counts its uncertainty
+    cov = solve.covariance(solve.build(state, obs, board, weights, prior), prior.free)
+    seen = observability.examine(cameras, state, cov, prior)
+    held = replace(prior, free=prior.free & ~seen.undetermined)
+    start = solve.with_values(state, seen.undetermined, prior)
+    final = solve.minimize(start, obs, board, weights, held, params.max_iterations, params.tolerance)
+    cov = solve.covariance(solve.build(final.state, obs, board, weights, prior), prior.free)
     message = "weights and unknowns settled" if settled else f"the weights still moved after {params.max_rounds} rounds"
     return BundleResult(
         cameras,
@@ -222,7 +226,7 @@ def bundle(
         iterations + final.iterations,
         settled,
         message,
-        observability.examine(cameras, final.state, cov, prior),
+        seen,
         *model.residuals(final.state, obs, board),
     )
 
@@ -269,7 +273,7 @@ def _prior(
     state: State, obs: Observations, priors: Mapping[str, CameraPrior], reference: str, params: BundleParams
 ) -> Prior:
     information = np.zeros((state.n_global, state.n_global))
-    free = np.ones(state.n_global, bool)
+    free, assumed = np.ones(state.n_global, bool), np.zeros(state.n_global, bool)
     n = state.n_camera
     for i, (name, prior) in enumerate(priors.items()):
         at = i * n
@@ -278,16 +282,18 @@ def _prior(
         lens = np.arange(at + 6, at + 6 + N_INTRINSICS)
         information[lens, lens] = 1 / np.maximum(sd, 1e-9) ** 2
         free[lens] = params.free_intrinsics and bool(np.any(obs.has_pixel[obs.camera == i]))
+        assumed[lens] = prior.intrinsics_sd is None or prior.from_views
         free[lens[8]] &= params.free_k3 or prior.intrinsics.distortion[4] != 0
         coefficients = np.arange(at + 6 + N_INTRINSICS, at + n)
         n_own = len(prior.bias.coefficients) if prior.bias is not None else 2
         free[coefficients] = (np.arange(len(coefficients)) < n_own) & np.any(obs.has_depth[obs.camera == i])
         own = coefficients[:n_own]
+        assumed[own] = prior.bias is None or prior.bias.covariance is None
         information[np.ix_(own, own)] = _bias_information(prior.bias, n_own, params)
     bow = np.arange(state.n_global - N_BOW, state.n_global)
     information[bow, bow] = 1 / params.bow_sd_m**2
     free[bow] = params.free_bow
-    return Prior(solve.values(state), information, free)
+    return Prior(solve.values(state), information, free, assumed)
 
 
 def _intrinsics_sd(prior: CameraPrior, params: BundleParams) -> FloatArray:
@@ -347,8 +353,8 @@ def _check_left(
 
 def pose_covariance(result: BundleResult, camera: str) -> FloatArray:
     """(6, 6) of the left perturbation (rad, m) of T_world_color in the world frame."""
-    at = result.parameters(camera)
-    return result.covariance.cameras[at, at][:6, :6]
+    at = result.parameters(camera).start
+    return result.covariance.cameras[at : at + 6, at : at + 6]
 
 
 def board_poses(result: BundleResult) -> dict[str, FloatArray]:

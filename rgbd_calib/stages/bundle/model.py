@@ -133,7 +133,7 @@ def observe(
     frame_of = np.array([frames.index(placed.view.frame) for placed in views])
     shared = np.bincount(frame_of)[frame_of] > 1
     low, high = bias_range_m[camera_of, None].transpose(2, 0, 1)
-    powers = polynomial.polyvander(np.clip(depth, low, high), n_bias - 1)
+    powers = np.asarray(polynomial.polyvander(np.clip(depth, low, high), n_bias - 1), np.float64)
     return Observations(camera_of, frame_of, shared, points, pixels, depth, powers, has_pixel, has_depth), tuple(frames)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.bundle.model import INTRINSICS, State
-from rgbd_calib.stages.bundle.solve import Covariance, Prior
+from rgbd_calib.stages.bundle.solve import BoolArray, Covariance, Prior
 
 PRIOR_SHARE = 0.7
 """A parameter whose standard deviation is more than this share of its prior's was hardly determined by the data."""
@@ -30,6 +30,8 @@ class Observability:
     """One for each parameter, or pair of parameters, that the recording does not determine."""
     reciprocal_condition: float
     """Of the correlation matrix of the global parameters: smallest over largest eigenvalue."""
+    undetermined: BoolArray
+    """(P,) bool: the recording adds next to nothing to the prior; these are held at it."""
 
 
 def examine(cameras: Sequence[str], state: State, cov: Covariance, prior: Prior) -> Observability:
@@ -37,13 +39,19 @@ def examine(cameras: Sequence[str], state: State, cov: Covariance, prior: Prior)
     n = state.n_camera
     sd = np.sqrt(np.maximum(np.diag(cov.cameras), 0))
     prior_sd = _prior_sd(prior)
+    undetermined = prior.free & (sd > PRIOR_SHARE * prior_sd)
     sentences = []
     for i, camera in enumerate(cameras):
+        names: dict[str, list[str]] = {}
         for k in range(INTRINSICS.start, n):
-            at = i * n + k
-            if prior.free[at] and np.isfinite(prior_sd[at]) and sd[at] > PRIOR_SHARE * prior_sd[at]:
+            if undetermined[i * n + k] and prior.assumed[i * n + k]:
                 name, kind = _name(k)
-                sentences.append(f"{camera}'s {name} is fixed by its prior, not by the recording: {ADVICE[kind]}")
+                names.setdefault(kind, []).append(name)
+        sentences += [
+            f"{camera}'s {' and '.join(found)} {'is' if len(found) == 1 else 'are'} fixed by what was assumed, not by the "
+            f"recording: {ADVICE[kind]}"
+            for kind, found in names.items()
+        ]
     free = np.flatnonzero(prior.free & (sd > 0))
     correlation = cov.cameras[np.ix_(free, free)] / np.outer(sd[free], sd[free])
     for a, b in np.argwhere(np.triu(np.abs(correlation), 1) > MAX_CORRELATION):
@@ -55,7 +63,7 @@ def examine(cameras: Sequence[str], state: State, cov: Covariance, prior: Prior)
                 f"{ADVICE[kind]}"
             )
     eigenvalues = np.linalg.eigvalsh(correlation) if len(free) else np.ones(1)
-    return Observability(tuple(sentences), float(max(eigenvalues[0], 0) / eigenvalues[-1]))
+    return Observability(tuple(sentences), float(max(eigenvalues[0], 0) / eigenvalues[-1]), undetermined)
 
 
 def _prior_sd(prior: Prior) -> FloatArray:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from rgbd_calib.errors import CalibrationError
@@ -21,6 +22,8 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.bundle import model
 from rgbd_calib.stages.bundle.model import N_BOW, Observations, State
 from rgbd_calib.types import Board
+
+BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -57,8 +60,10 @@ class Prior:
     """(P,), values of intrinsics, bias and bow in the place of their parameters; poses have none."""
     information: FloatArray
     """(P, P), inverse covariance."""
-    free: FloatArray
+    free: BoolArray
     """(P,) bool."""
+    assumed: BoolArray
+    """(P,) bool: the knowledge is an assumption, not a measurement; where the recording adds none, it is said."""
 
 
 class Status(Enum):
@@ -100,6 +105,12 @@ def values(state: State) -> FloatArray:
     """Global parameters (P,) with zeros for the poses, to compare with a prior's mean."""
     per_camera = np.concatenate([np.zeros((len(state.intrinsics), 6)), state.intrinsics, state.bias], axis=1)
     return np.concatenate([per_camera.ravel(), state.bow_m])
+
+
+def with_values(state: State, which: BoolArray, prior: Prior) -> State:
+    """The state with these global parameters (P,) at their prior's mean."""
+    step = np.where(which, prior.mean - values(state), 0.0)
+    return state.moved(step, np.zeros((len(state.T_parent_board), 6)))
 
 
 def cost(state: State, obs: Observations, board: Board, weights: Weights, prior: Prior) -> float:
@@ -203,7 +214,7 @@ class Covariance:
     """(F, 6, 6)."""
 
 
-def covariance(system: System, free: FloatArray) -> Covariance:
+def covariance(system: System, free: BoolArray) -> Covariance:
     """Covariance of all unknowns from the equations at the minimum.
 
     Raises
@@ -261,7 +272,7 @@ def _split(J: FloatArray, r: FloatArray, Q: FloatArray, ratio: float) -> tuple[F
     return H_rest, H_pose / ratio**2, gradient
 
 
-def _step(system: System, free: FloatArray, damping: float) -> tuple[FloatArray, FloatArray] | None:
+def _step(system: System, free: BoolArray, damping: float) -> tuple[FloatArray, FloatArray] | None:
     """The damped step (eq. A11), or None where the equations are singular."""
     V = system.V + damping * np.einsum("fii->fi", system.V)[:, :, None] * np.eye(6)
     W, g = system.W[free], system.gradient[free]

@@ -13,7 +13,7 @@ import numpy as np
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.bundle import model, solve
 from rgbd_calib.stages.bundle.model import Observations, State
-from rgbd_calib.stages.bundle.solve import Covariance, Prior, System, Weights
+from rgbd_calib.stages.bundle.solve import Prior, Weights
 from rgbd_calib.types import Board
 
 MIN_REDUNDANCY = 10.0
@@ -36,10 +36,8 @@ def initial(obs: Observations, n_cameras: int, sigma_2d_px: float, k_depth: floa
     )
 
 
-def update(
-    state: State, obs: Observations, board: Board, weights: Weights, prior: Prior, huber: float
-) -> tuple[Weights, System, Covariance]:
-    """The next weights, and the equations and covariance at `state` under the present ones.
+def update(state: State, obs: Observations, board: Board, weights: Weights, prior: Prior, huber: float) -> Weights:
+    """The weights that the residuals at `state` give, from its equations under the present ones.
 
     Raises
     ------
@@ -71,8 +69,7 @@ def update(
     pixel, depth = model.residuals(state, obs, board)
     robust_pixel = _huber(_off_pose(pixel, Q_pixel) / sigma_2d_px[obs.camera, None, None], huber)
     robust_depth = _huber(_off_pose(depth[..., None], Q_depth) / k_depth[obs.camera, None, None], huber)
-    new = Weights(sigma_2d_px, k_depth, ratio2, ratio3, robust_pixel, robust_depth, Q_pixel, Q_depth)
-    return new, system, cov
+    return Weights(sigma_2d_px, k_depth, ratio2, ratio3, robust_pixel, robust_depth, Q_pixel, Q_depth)
 
 
 def change(a: Weights, b: Weights) -> float:

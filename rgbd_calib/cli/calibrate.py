@@ -1,0 +1,143 @@
+"""`rgbd-calib calibrate`: from a recording to a rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from rgbd_calib.cli.options import (
+    config_option,
+    corners_option,
+    jobs_option,
+    method_options,
+    output_option,
+    overwrite_option,
+    progress,
+    recording_argument,
+    refuse_existing,
+    say,
+)
+
+
+@click.command()
+@recording_argument
+@output_option("rig.yaml")
+@click.option(
+    "--intrinsics",
+    type=click.Path(path_type=Path),
+    help="intrinsics.yaml, or a recording of the board close to each camera.  [default: dataset.yaml's, else from RECORDING]",
+)
+@click.option(
+    "--depth-bias",
+    type=click.Path(path_type=Path),
+    help="depth_bias.yaml, or a recording of a wall at known distances.  [default: none]",
+)
+@corners_option
+@method_options(("init", "ba", "icp", "baicp+", "biobjective", "bundle"))
+@click.option(
+    "--correspondences",
+    type=click.Path(path_type=Path),
+    help="Write the matched features too, for `rgbd-calib refine`.",
+)
+@config_option
+@jobs_option
+@overwrite_option
+def command(
+    recording: Path,
+    output: Path,
+    intrinsics: Path | None,
+    depth_bias: Path | None,
+    corners: Path | None,
+    method: str | None,
+    sigma_2d: float | None,
+    sigma_3d: float | None,
+    reference: str | None,
+    seed: int | None,
+    correspondences: Path | None,
+    config: Path | None,
+    jobs: int | None,
+    overwrite: bool,
+) -> None:
+    """Calibrate the rig of RECORDING: poses, and with the default method intrinsics and depth bias too.
+
+    \b
+    Methods:
+      bundle       the default: poses, boards, intrinsics and depth bias together, on pixels and depth
+      biobjective  the paper's: poses and free points, V_ICP + w V_BA, w estimated unless both sigmas are given
+      ba, icp      pixels alone, measured 3D points alone
+      baicp+       the heuristic weight of the paper's predecessor
+      init         the first poses, without refinement
+
+    \b
+    Examples:
+      rgbd-calib calibrate demo/extrinsic -o rig.yaml
+      rgbd-calib calibrate demo/extrinsic --intrinsics demo/intrinsic --depth-bias demo/depth_bias -o rig.yaml
+      rgbd-calib calibrate demo/extrinsic --intrinsics intrinsics.yaml --method biobjective -o rig.yaml
+    """
+    for path in (output, *([correspondences] if correspondences else [])):
+        refuse_existing(path, overwrite)
+    from rgbd_calib.io.correspondences import write_correspondences
+    from rgbd_calib.io.recording import open_recording
+    from rgbd_calib.io.rig import write_rig
+    from rgbd_calib.pipeline.calibrate import calibrate
+    from rgbd_calib.pipeline.config import load_config
+    from rgbd_calib.pipeline.detection import detections_from
+
+    settings = load_config(
+        config,
+        method=method,
+        reference=reference,
+        seed=seed,
+        refinement__sigma_2d_px=sigma_2d,
+        refinement__sigma_3d_m=sigma_3d,
+    )
+    opened = open_recording(recording)
+    found = detections_from(opened, corners, settings.detect, jobs, progress)
+    result = calibrate(
+        opened,
+        settings,
+        intrinsics=intrinsics,
+        depth_bias=depth_bias,
+        detections=found,
+        jobs=jobs,
+        progress=progress,
+    )
+    write_rig(output, result.rig)
+    if correspondences:
+        write_correspondences(correspondences, result.correspondences)
+    for line in describe(result.rig.quality):
+        say(line)
+    for name, camera in result.rig.cameras.items():
+        sd = camera.covariance.diagonal() ** 0.5
+        sure = (
+            "reference"
+            if name == result.rig.reference
+            else f"± {1e3 * max(sd[3:]):.2f} mm, ± {57.3 * max(sd[:3]):.3f}°"
+            if sd.any()
+            else ""
+        )
+        x, y, z = camera.T_world_color[:3, 3]
+        click.echo(f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m  {sure}")
+    say(f"Wrote {output}")
+
+
+def describe(quality: dict) -> list[str]:
+    """What a person at the rig wants to know, from the rig's quality."""
+    lines = []
+    used, images = quality.get("views_used", {}), quality.get("images", {})
+    if used:
+        lines.append("Views used: " + ", ".join(f"{name} {used[name]} of {images[name]} images" for name in used))
+    for key, what in (("views_not_associated", "left out"), ("dropped", "dropped")):
+        for name, frames in quality.get(key, {}).items():
+            lines += [f"{name}: frame {frame} {what}: {why}" for frame, why in frames.items()]
+    lines += quality.get("not_observable", [])
+    on_own = quality.get("alignment_on_recording", {}).get("all", {})
+    if "median_mm" in on_own:
+        lines.append(
+            f"Two cameras put the same corner {on_own['median_mm']:.2f} mm apart in the median "
+            f"({on_own['mean_mm']:.2f} mm in the mean), on this recording, noise of single depths included"
+        )
+    if "status" in quality:
+        lines.append(f"{quality['method']}: {quality['message']}")
+    return lines

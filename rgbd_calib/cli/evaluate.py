@@ -1,0 +1,78 @@
+"""`rgbd-calib evaluate`: how good a rig is, in millimetres."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rgbd_calib.cli.options import config_option, corners_option, jobs_option, progress
+
+
+@click.command()
+@click.argument("rig", type=click.Path(path_type=Path))
+@click.option("--truth", type=click.Path(path_type=Path), help="truth.yaml of a simulated recording.")
+@click.option(
+    "--recording", type=click.Path(path_type=Path), help="A recording of the board that the rig was not made from."
+)
+@corners_option
+@click.option("--json", "as_json", is_flag=True, help="Print all numbers as JSON.")
+@config_option
+@jobs_option
+def command(
+    rig: Path,
+    truth: Path | None,
+    recording: Path | None,
+    corners: Path | None,
+    as_json: bool,
+    config: Path | None,
+    jobs: int | None,
+) -> None:
+    """Evaluate RIG against the truth of a simulation, or against a recording.
+
+    Alignment is the distance between the places where two cameras put the same point, each by its own pixel and depth.
+    Against the truth it is measured without noise on a grid over the volume where the board was; against a recording, on
+    the corners that two cameras saw, by the depth they measured, with its noise.
+
+    \b
+    Examples:
+      rgbd-calib evaluate rig.yaml --truth demo/truth.yaml
+      rgbd-calib evaluate rig.yaml --recording demo/extrinsic
+      rgbd-calib evaluate rig.yaml --truth demo/truth.yaml --json
+    """
+    if (truth is None) == (recording is None):
+        raise click.UsageError("give one of --truth FILE and --recording RECORDING")
+    import json
+
+    from rgbd_calib.pipeline.config import load_config
+    from rgbd_calib.pipeline.evaluate import evaluate_recording, evaluate_truth
+
+    if truth is not None:
+        summary = evaluate_truth(rig, truth)
+    else:
+        assert recording is not None
+        summary = evaluate_recording(rig, recording, corners, load_config(config), jobs, progress)
+    if as_json:
+        click.echo(json.dumps(summary, indent=2))
+        return
+    for name, error in summary.get("poses", {}).items():
+        click.echo(
+            f"{name}: rotation {error['rotation_deg']:.4f}°, translation {error['translation_mm']:.3f} mm "
+            f"({100 * error['relative_translation']:.3f} %)"
+        )
+    for part in ("by_distance", "pairs"):
+        for name, numbers in summary[part].items():
+            click.echo(f"{name}: {_line(numbers)}")
+    click.echo(f"alignment: {_line(summary['all'])}")
+
+
+def _line(numbers: dict[str, Any]) -> str:
+    parts = []
+    if "mean_mm" in numbers:
+        parts.append(
+            f"mean {numbers['mean_mm']:.3f} mm, median {numbers['median_mm']:.3f} mm, 95 % below {numbers['p95_mm']:.3f} mm"
+        )
+    if "median_px" in numbers:
+        parts.append(f"transfer {numbers['median_px']:.3f} px in the median")
+    return "; ".join([*parts, f"{numbers['points']} points"])

@@ -1,0 +1,72 @@
+"""`rgbd-calib intrinsics`: the lens of each camera from views of the board."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from rgbd_calib.cli.options import (
+    config_option,
+    corners_option,
+    jobs_option,
+    output_option,
+    overwrite_option,
+    progress,
+    recording_argument,
+    refuse_existing,
+    say,
+)
+
+
+@click.command()
+@recording_argument
+@output_option("intrinsics.yaml")
+@corners_option
+@config_option
+@jobs_option
+@overwrite_option
+def command(
+    recording: Path, output: Path, corners: Path | None, config: Path | None, jobs: int | None, overwrite: bool
+) -> None:
+    """Calibrate the intrinsics of each camera from its views of the board in RECORDING (Zhang's method).
+
+    \b
+    Examples:
+      rgbd-calib intrinsics demo/intrinsic -o intrinsics.yaml
+      rgbd-calib detect demo/intrinsic -o corners.csv
+      rgbd-calib intrinsics demo/intrinsic --corners corners.csv -o intrinsics.yaml
+    """
+    refuse_existing(output, overwrite)
+    from rgbd_calib.io.recording import open_recording
+    from rgbd_calib.io.rig import write_intrinsics
+    from rgbd_calib.pipeline.calibrate import provenance_of
+    from rgbd_calib.pipeline.config import load_config
+    from rgbd_calib.pipeline.detection import detections_from
+    from rgbd_calib.pipeline.prepare import intrinsics_of_views
+
+    opened, settings = open_recording(recording), load_config(config)
+    found = detections_from(opened, corners, settings.detect, jobs, progress)
+    results = intrinsics_of_views(opened, found, settings)
+    statistics = {
+        name: {
+            "intrinsics_sd": result.standard_deviation,
+            "rms_px": result.rms_px,
+            "views": len(result.view_rms_px),
+            "view_rms_px": result.view_rms_px,
+            "dropped": result.dropped,
+        }
+        for name, result in results.items()
+    }
+    provenance = {**provenance_of(settings), "recording": str(recording), "recording_sha256": opened.digest()}
+    lenses = {name: result.intrinsics for name, result in results.items()}
+    write_intrinsics(output, lenses, statistics, {}, provenance)
+    for name, result in results.items():
+        lens, sd = result.intrinsics, result.standard_deviation
+        click.echo(
+            f"{name}: fx {lens.fx:.2f} ± {sd[0]:.2f}, fy {lens.fy:.2f} ± {sd[1]:.2f}, cx {lens.cx:.2f} ± {sd[2]:.2f}, "
+            f"cy {lens.cy:.2f} ± {sd[3]:.2f} px; RMS {result.rms_px:.3f} px over {len(result.view_rms_px)} views"
+        )
+        for frame, why in result.dropped.items():
+            say(f"{name}: frame {frame} left out: {why}")
+    say(f"Wrote {output}")
