@@ -103,7 +103,6 @@ def command(
     from rich.console import Console
 
     from rgbd_calib.pipeline.capture.modes import ModeParams
-    from rgbd_calib.pipeline.capture.preview import parse_address
     from rgbd_calib.pipeline.capture.session import CaptureParams, capture
     from rgbd_calib.pipeline.capture.shots import DepthParams
     from rgbd_calib.sensors.identity import parse_devices
@@ -131,10 +130,18 @@ def command(
         allow_unregistered,
         settle,
         give_up,
-        parse_address(preview) if preview is not None else None,
+        _parse_address(preview),
     )
     result = capture(params, Console(stderr=True), _ask_distance)
     _summarize(out, result)
+
+
+def _parse_address(text: str | None) -> tuple[str, int] | None:
+    if text is None:
+        return None
+    from rgbd_calib.pipeline.capture.preview import parse_address
+
+    return parse_address(text)
 
 
 def _parse_distances(text: str | None) -> tuple[float, ...]:

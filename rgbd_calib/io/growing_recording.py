@@ -11,6 +11,7 @@ import errno
 import os
 import threading
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,11 +19,13 @@ import cv2
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError, ConfigError
+from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.recording import CameraInfo, open_recording, write_dataset
 from rgbd_calib.types import Board
 
 TIMESTAMPS_HEADER = "frame,color_us,depth_us"
 DISTANCES_HEADER = "frame,distance_m"
+_ENCODERS = 2
 FRAME_SETS_HEADER = "frame,time_us,spread_us,cameras"
 
 
@@ -55,9 +58,11 @@ class GrowingRecording:
     ) -> None:
         self.folder = folder
         self._serials: dict[str, str | None] = {}
+        self._intrinsics: dict[str, Intrinsics] = {}
         self._depth_scale = depth_scale
         self._registered = registered
         self._lock = threading.Lock()
+        self._encoders = ThreadPoolExecutor(_ENCODERS, thread_name_prefix="png")
         self._cameras: dict[str, CameraInfo] = {}
         self._board = board
         self._next = 0
@@ -81,6 +86,10 @@ class GrowingRecording:
         """Serial numbers of the cameras, to be noted in dataset.yaml with their first images."""
         self._serials = dict(serials)
 
+    def describe(self, intrinsics: Mapping[str, Intrinsics]) -> None:
+        """Intrinsics of cameras, to be noted in dataset.yaml with their first images."""
+        self._intrinsics = dict(intrinsics)
+
     def reserve(self) -> str:
         """The name of the next frame set."""
         with self._lock:
@@ -97,8 +106,7 @@ class GrowingRecording:
         """
         renamed: list[Path] = []
         try:
-            hidden = [pair for camera, shot in images.items() for pair in self._write_hidden(camera, frame, shot)]
-            for temporary, path in hidden:
+            for temporary, path in self._write_hidden(frame, images):
                 temporary.replace(path)
                 renamed.append(path)
             with self._lock:
@@ -111,25 +119,25 @@ class GrowingRecording:
             remove_leftovers(self.folder, frame)
             raise CalibrationError(self._explain(error)) from error
 
-    def _write_hidden(self, camera: str, frame: str, shot: CameraImages) -> list[tuple[Path, Path]]:
-        written = []
-        for kind, image in (("color", shot.color), ("depth", shot.depth_raw)):
-            if image is None:
-                continue
-            folder = self.folder / camera / kind
-            folder.mkdir(parents=True, exist_ok=True)
-            data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
-            temporary = folder / f".{frame}.png"
-            temporary.write_bytes(data.tobytes())
-            written.append((temporary, folder / f"{frame}.png"))
-        return written
+    def _write_hidden(self, frame: str, images: Mapping[str, CameraImages]) -> list[tuple[Path, Path]]:
+        """Write all images under hidden names, several at once; gives (hidden, final) paths."""
+        jobs: list[tuple[Path, Path, np.ndarray]] = []
+        for camera, shot in images.items():
+            for kind, image in (("color", shot.color), ("depth", shot.depth_raw)):
+                folder = self.folder / camera / kind
+                if image is not None:
+                    jobs.append((folder / f".{frame}.png", folder / f"{frame}.png", image))
+        list(self._encoders.map(lambda job: _write_png(job[0], job[2]), jobs))
+        return [(hidden, path) for hidden, path, _ in jobs]
 
     def _list_new_cameras(self, images: Mapping[str, CameraImages]) -> None:
         new = {c: shot.color.shape for c, shot in images.items() if c not in self._cameras}
         if not new:
             return
         for camera, (height, width, _) in new.items():
-            self._cameras[camera] = CameraInfo(width, height, self._depth_scale, self._serials.get(camera))
+            self._cameras[camera] = CameraInfo(
+                width, height, self._depth_scale, self._serials.get(camera), self._intrinsics.get(camera)
+            )
         extra = {} if self._registered else {"depth_registered": False}
         try:
             write_dataset(self.folder, dict(sorted(self._cameras.items())), self._board, extra)
@@ -167,7 +175,7 @@ class GrowingRecording:
         self._next = max(numbers, default=-1) + 1
 
     def _explain(self, error: OSError) -> str:
-        kept = f"{self.finished} frame set{'s' if self.finished != 1 else ''} of this session are whole"
+        kept = f"{self.finished} frame set{'s' if self.finished != 1 else ''} of this session kept"
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             return f"{self.folder}: the disk is full; {kept}. Free space, then go on with --append"
         return f"{self.folder}: writing failed ({error.strerror or error}); {kept}. Mend that, then go on with --append"
@@ -208,6 +216,11 @@ def remove_leftovers(folder: Path, frame: str = "*") -> None:
     for kind in ("color", "depth"):
         for path in folder.glob(f"*/{kind}/.{frame}.png"):
             path.unlink(missing_ok=True)
+
+
+def _write_png(path: Path, image: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
 
 
 def _occupied(folder: Path) -> bool:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError
-from rgbd_calib.sensors.frames import SensorFrame
+from rgbd_calib.sensors.frames import Kind, SensorFrame
 from rgbd_calib.sensors.usb import UsbPlace, usb_place
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
@@ -176,7 +176,7 @@ class Device:
         frame = stream.read_frame()
         try:
             arrival_s = time.monotonic()
-            kind = "color" if stream is self._color else "depth"
+            kind: Kind = "color" if stream is self._color else "depth"
             pixels = _copy(frame, 3 if kind == "color" else 1)
             return SensorFrame(kind, pixels, int(frame.timestamp), int(frame.frameIndex), arrival_s)
         finally:
@@ -232,7 +232,16 @@ class Device:
         return {"color": self._color.get_number_of_frames(), "depth": self._depth.get_number_of_frames()}
 
     def is_mirrored(self) -> bool:
-        return bool(self._color.mirroring_enabled)
+        """Of a recorded file: True where it says that its pictures are mirrored."""
+        try:
+            return bool(self._color.mirroring_enabled)
+        except self._binding.OpenNIError:
+            return False
+
+    def depth_unit_m(self) -> float:
+        """Metres for each unit of the depth stream."""
+        tenths = int(self._depth.video_mode.pixelFormat) == int(self._binding.PIXEL_FORMAT_DEPTH_100_UM)
+        return 1e-4 if tenths else 1e-3
 
     def close(self) -> None:
         """Stop and close, streams before the device. No thread may be reading; calling it twice does nothing."""

@@ -1,4 +1,4 @@
-"""Writes frame sets in threads of its own: readers never wait for the disk, and memory stays bounded."""
+"""Writes frame sets in a thread of its own, in their order: readers never wait for the disk, and memory stays bounded."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from rgbd_calib.io.growing_recording import CameraImages, GrowingRecording
 
 MAX_PENDING = 6
 """Frame sets in memory, waiting or being written: 4 cameras x 1.5 MB each."""
-WRITERS = 2
 
 
 class FrameSetWriter:
@@ -21,7 +20,7 @@ class FrameSetWriter:
     def __init__(self, recording: GrowingRecording, max_pending: int = MAX_PENDING) -> None:
         self._recording = recording
         self._room = threading.BoundedSemaphore(max_pending)
-        self._pool = ThreadPoolExecutor(WRITERS, thread_name_prefix="writer")
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="writer")
         self._failure: RgbdCalibError | None = None
         self.waited_s = 0.0
         """How long the caller has been held up because writing was slower than capturing."""
@@ -55,7 +54,7 @@ class FrameSetWriter:
     def flush(self) -> None:
         """Wait until everything queued is written, and raise what went wrong."""
         self._pool.shutdown(wait=True)
-        self._pool = ThreadPoolExecutor(WRITERS, thread_name_prefix="writer")
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="writer")
         self.check()
 
     def check(self) -> None:

@@ -11,6 +11,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <random>
 
 #include "settings.hpp"
 
@@ -218,11 +219,9 @@ private:
 	void punchHoles(uint16_t* out, uint64_t index) {
 		int others = 0;
 		for (int i = 0; i < world().devices; ++i) others += i != device_ && world().emitter[i];
-		uint32_t state = static_cast<uint32_t>(index * 2654435761u + static_cast<uint32_t>(device_) + 1u);
-		for (int i = 0; i < mode_.resolutionX * mode_.resolutionY; ++i) {
-			state = state * 1664525u + 1013904223u;
-			if (static_cast<int>((state >> 16) & 31) < others) out[i] = 0;
-		}
+		std::mt19937 random(static_cast<unsigned>(index) * 31u + static_cast<unsigned>(device_));
+		for (int i = 0; i < mode_.resolutionX * mode_.resolutionY; ++i)
+			if (static_cast<int>(random() & 31u) < others) out[i] = 0;
 	}
 
 	const Kind kind_;

@@ -40,8 +40,9 @@ class BoardFinder:
 
     def find(self, pictures: Mapping[str, np.ndarray]) -> dict[str, Corners]:
         """Corners in pictures (h, w, 3), R G B, by camera."""
-        found = {camera: self._pool.submit(self._find, rgb) for camera, rgb in pictures.items()}
-        return {camera: job.result() for camera, job in found.items() if job.result() is not None}
+        jobs = {camera: self._pool.submit(self._find, rgb) for camera, rgb in pictures.items()}
+        found = {camera: job.result() for camera, job in jobs.items()}
+        return {camera: corners for camera, corners in found.items() if corners is not None}
 
     def look(self, frame_set: FrameSet) -> Look:
         return Look(frame_set, self.find({c: f.color.pixels for c, f in frame_set.frames.items()}))

@@ -54,7 +54,7 @@ class PreviewServer:
             raise ConfigError(
                 f"--preview {host}:{port}: cannot listen there ({_why(error)}). Choose another port"
             ) from None
-        self._server.daemon_threads = True
+        self._server.daemon_threads = True  # type: ignore[attr-defined]  # it is the threading one
         self._thread = threading.Thread(target=self._server.serve_forever, name="preview", daemon=True)
         shown = f"[{host}]" if ":" in host else host
         self.url = f"http://{shown}:{self._server.server_port}/"

@@ -24,7 +24,6 @@ from rgbd_calib.io.recording import open_recording
 from rgbd_calib.pipeline.capture.board_watch import BoardFinder
 from rgbd_calib.pipeline.capture.guide import Guide
 from rgbd_calib.pipeline.capture.modes import ModeParams, record_depth_bias, record_intrinsics, record_rig
-from rgbd_calib.pipeline.capture.preview import PreviewServer
 from rgbd_calib.pipeline.capture.shots import DepthParams, Photographer
 from rgbd_calib.pipeline.capture.signals import stopping_on_signals
 from rgbd_calib.pipeline.capture.studio import Stopped, Studio, Tally
@@ -152,7 +151,7 @@ class _Session:
                 f"{params.out}: {message or 'ended'} before the first frame set; nothing was recorded"
             )
         coverage = self._guide.state().coverage
-        lost = {camera: dict(counts.lost) for camera, counts in rig.counts().items()}
+        lost = {camera: {str(kind): n for kind, n in counts.lost.items()} for camera, counts in rig.counts().items()}
         missing = coverage.missing if coverage else ()
         return CaptureResult(status, self._recording.finished, self._tally, lost, self._events, missing)
 
@@ -170,6 +169,8 @@ class _Session:
             if self._display is not None:
                 self._guide.listen(self._display.update)
             if params.preview is not None:
+                from rgbd_calib.pipeline.capture.preview import PreviewServer  # a web server takes long to import
+
                 server = stack.enter_context(PreviewServer(self._guide, rig, *params.preview))
                 self._note("", f"preview: {server.url}")
             studio = Studio(

@@ -24,7 +24,7 @@ class PlainGuidance:
         self._console = console
         self._lock = threading.Lock()
         self._advice = ""
-        self._missing: tuple[str, ...] = ()
+        self._next = ""
         self._frame_sets = 0
 
     def __enter__(self) -> PlainGuidance:
@@ -44,12 +44,13 @@ class PlainGuidance:
                 board = f", board seen by {', '.join(seen) or 'none'}" if state.coverage else ""
                 self._say(f"{state.frame_sets} frame set{'s' if state.frame_sets != 1 else ''}{board}")
             missing = state.coverage.missing if state.coverage else ()
-            for sentence in missing:
-                if sentence not in self._missing:
-                    self._say(f"still missing: {sentence}")
-            if self._missing and not missing:
+            if missing and missing[0] != self._next:
+                self._next = missing[0]
+                more = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
+                self._say(f"still missing: {missing[0]}{more}")
+            if self._next and not missing:
+                self._next = ""
                 self._say("enough: nothing is missing any more")
-            self._missing = missing
             if state.advice != self._advice and not state.coverage:
                 self._say(state.advice)
             self._advice = state.advice
