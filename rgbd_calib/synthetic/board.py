@@ -12,7 +12,7 @@ from rgbd_calib.types import Board
 
 BORDER_M = 0.030
 """White paper around the squares: half a square of the default board, which OpenCV's finders need."""
-_INK, _PAPER = hex_color("262626"), hex_color("eeeeea")
+_INK, _PAPER = hex_color("262626"), hex_color("dadad6")
 _CORE = plain("board core", "d8d4c8")
 _STEEL = plain("steel", "8c9096")
 _STAND_RADIUS_M = 0.011
