@@ -81,4 +81,4 @@ def test_choices_of_options_are_those_of_the_modules_that_do_the_work():
     from rgbd_calib.report import splat
 
     assert fuse.VIEWS == splat.VIEWS
-    assert export.FORMATS == tuple(exports.FORMATS)
+    assert tuple(exports.FORMATS) == export.FORMATS

@@ -51,21 +51,20 @@ def test_the_axis_meets_the_image_at_the_principal_point():
 
 
 @given(lenses)
-def test_derivatives_against_central_differences(lens):
+def test_derivatives_against_the_complex_step(lens):
     p_color = rays(lens.vector, grid(n=4)) * np.linspace(0.5, 4, 16)[:, None]
     pixels, J_point, J_vector = project_jacobian(lens.vector, p_color)
     assert np.allclose(pixels, project(lens.vector, p_color), atol=1e-11)
+    # the complex step has neither truncation nor cancellation: what is left is the rounding of some twenty products
+    # of f / z < 1700 px/m with machine precision 2e-16
     for k in range(3):
-        step = np.zeros(3)
-        step[k] = 1e-6
-        numeric = (project(lens.vector, p_color + step) - project(lens.vector, p_color - step)) / 2e-6
-        # rounding of 640 px: 1e-13 / 1e-6; truncation: h^2 / 6 times a third derivative of f / z^3 < 7e3, times 10
-        assert np.abs(J_point[..., k] - numeric).max() < 1e-6
+        step = np.zeros(3, complex)
+        step[k] = 1e-30j
+        assert np.abs(J_point[..., k] - project(lens.vector, p_color + step).imag / 1e-30).max() < 1e-10
     for k in range(9):
-        step = np.zeros(9)
-        step[k] = 1e-4  # the model is linear in all nine but for products f * k: exact up to rounding
-        numeric = (project(lens.vector + step, p_color) - project(lens.vector - step, p_color)) / 2e-4
-        assert np.abs(J_vector[..., k] - numeric).max() < 1e-8
+        step = np.zeros(9, complex)
+        step[k] = 1e-30j
+        assert np.abs(J_vector[..., k] - project(lens.vector + step, p_color).imag / 1e-30).max() < 1e-10
 
 
 def test_one_lens_for_each_point():
