@@ -110,9 +110,8 @@ def spread(cameras: tuple[str, ...], sets: list[tuple[Grouping, FloatArray, floa
                     points.append(own if block.seen is None else own[:, block.seen[at[0]]])
                     noise_m = max(noise_m, sigma_m)
         own = np.concatenate(points, axis=1)
-        length, width = (
-            np.linalg.svd(own - own.mean(axis=1, keepdims=True), compute_uv=False) / np.sqrt(own.shape[1])
-        )[:2]
+        own = own - own.mean(axis=1, keepdims=True)
+        _, width, length = np.sqrt(np.maximum(np.linalg.eigvalsh(own @ own.T / own.shape[1]), 0.0))
         if width < max(MIN_WIDTH * length, 2 * noise_m):
             noise = f", their noise {1e3 * noise_m:.3g} mm" if noise_m else ""
             raise CalibrationError(

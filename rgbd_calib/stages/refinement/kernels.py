@@ -23,6 +23,19 @@ import numpy as np
 from rgbd_calib.geometry.so3 import FloatArray
 
 
+class Memory:
+    """Arrays that the blocks of a term use one after the other: fresh pages cost more than the arithmetic on them."""
+
+    def __init__(self) -> None:
+        self._arrays: dict[tuple[str, tuple[int, ...]], FloatArray] = {}
+
+    def array(self, name: str, shape: tuple[int, ...]) -> FloatArray:
+        """Uninitialised; the same one for the same name and shape."""
+        if (name, shape) not in self._arrays:
+            self._arrays[name, shape] = np.empty(shape)
+        return self._arrays[name, shape]
+
+
 @dataclass(frozen=True)
 class Cholesky3:
     """L^-1 of L L^T for n symmetric 3x3 blocks, by entries: reciprocal diagonal and lower entries, each (n,)."""
@@ -44,15 +57,11 @@ class Cholesky3:
         l21 = (yz - l20 * l10) * i1
         return cls(i0, i1, 1.0 / np.sqrt(zz - l20 * l20 - l21 * l21), l10, l20, l21)
 
-    def forward(self, b: FloatArray) -> FloatArray:
-        """L^-1 b for b (..., 3, *, n) given with the 3 on axis -3, or (3, n)."""
-        out = np.empty_like(b)
-        b0, b1, b2 = (b[..., c, :, :] for c in range(3)) if b.ndim > 2 else b
-        o0, o1, o2 = (out[..., c, :, :] for c in range(3)) if b.ndim > 2 else out
-        np.multiply(b0, self.i0, out=o0)
-        np.multiply(b1 - self.l10 * o0, self.i1, out=o1)
-        np.multiply(b2 - self.l20 * o0 - self.l21 * o1, self.i2, out=o2)
-        return out
+    def forward(self, b: FloatArray, out: FloatArray) -> None:
+        """out = L^-1 b for b (3, ..., n)."""
+        np.multiply(b[0], self.i0, out=out[0])
+        np.multiply(b[1] - self.l10 * out[0], self.i1, out=out[1])
+        np.multiply(b[2] - self.l20 * out[0] - self.l21 * out[1], self.i2, out=out[2])
 
     def backward(self, b: FloatArray) -> FloatArray:
         """L^-T b for b (3, n)."""
@@ -115,28 +124,28 @@ def distort_jacobian(k: FloatArray, xy: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def pixel_jacobian(
-    R: FloatArray, xy: FloatArray, z_inv: FloatArray, focal: FloatArray, lens: FloatArray | None
+    R: FloatArray, xy: FloatArray, z_inv: FloatArray, focal: FloatArray, lens: FloatArray | None, memory: Memory
 ) -> FloatArray:
-    """A (k, 3, 2, n) = d psi / dx (eq. 2.2), with `focal` (k, 2, n) or (k, 2, 1) in px over sigma."""
+    """A (k, 3, 2, n) = d psi / dx (eq. 2.2), with `focal` (k, 2, 1) in px over sigma."""
+    k, _, n = xy.shape
     # R is (world, camera): R[:, :, r] is the world's direction of camera axis r
-    A = R[:, :, 2, None, None] * xy[:, None]
+    A = np.multiply(R[:, :, 2, None, None], xy[:, None], out=memory.array("A", (k, 3, 2, n)))
     np.subtract(R[:, :, :2, None], A, out=A)
-    scale = focal * z_inv[:, None]
-    if lens is None:
-        A *= scale[:, None]
-        return A
-    dxx, dxy, dyy = distort_jacobian(lens, xy)
-    out = np.empty_like(A)
-    out[:, :, 0] = (A[:, :, 0] * dxx[:, None] + A[:, :, 1] * dxy[:, None]) * scale[:, None, 0]
-    out[:, :, 1] = (A[:, :, 0] * dxy[:, None] + A[:, :, 1] * dyy[:, None]) * scale[:, None, 1]
-    return out
+    scale = np.multiply(focal, z_inv[:, None], out=memory.array("scale", (k, 2, n)))
+    if lens is not None:
+        dxx, dxy, dyy = distort_jacobian(lens, xy)
+        A_x = A[:, :, 0] * dxx[:, None] + A[:, :, 1] * dxy[:, None]
+        A[:, :, 1] = A[:, :, 0] * dxy[:, None] + A[:, :, 1] * dyy[:, None]
+        A[:, :, 0] = A_x
+    A *= scale[:, None]
+    return A
 
 
-def pose_jacobian(A: FloatArray, X: FloatArray) -> FloatArray:
+def pose_jacobian(A: FloatArray, X: FloatArray, memory: Memory) -> FloatArray:
     """J (k, 6, d, n), rows (a × x, -a), from A (k, 3, d, n) and the points X (3, n)."""
     k, _, d, n = A.shape
-    J = np.empty((k, 6, d, n))
-    buffer = np.empty((k, d, n))
+    J = memory.array("J", (k, 6, d, n))
+    buffer = memory.array("cross", (k, d, n))
     for c, a, b in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         np.multiply(A[:, a], X[b], out=J[:, c])
         np.multiply(A[:, b], X[a], out=buffer)
@@ -153,30 +162,32 @@ def point_blocks(A: FloatArray, r: FloatArray) -> tuple[FloatArray, FloatArray]:
     return V, np.einsum("kcrn,krn->cn", A, r)
 
 
-def eliminate(A: FloatArray, r: FloatArray, X: FloatArray, first_free: int, damping: float) -> Eliminated:
-    """Normal equations of a block from A (k, 3, d, n), r (k, d, n) and the points X (3, n)."""
+def eliminate(
+    A: FloatArray, r: FloatArray, X: FloatArray, first_free: int, damping: float, memory: Memory, Y: FloatArray
+) -> Eliminated:
+    """Normal equations of a block from A (k, 3, d, n), r (k, d, n) and the points X (3, n); Y (k free, 6, 3, n) is
+    memory for the result."""
     d, n = r.shape[1:]
     V, g_x = point_blocks(A, r)
     if damping:
         V[[0, 3, 5]] *= 1.0 + damping
     L = Cholesky3.of(V)
-    Lg = L.forward(g_x)
+    Lg = np.empty_like(g_x)
+    L.forward(g_x, Lg)
 
     A, r = A[first_free:], r[first_free:]
     k = len(A)
-    B = L.forward(A)
-    J = pose_jacobian(A, X)
-    Y = np.multiply(J[:, :, 0, None], B[:, None, :, 0])
-    buffer = np.empty_like(Y)
-    for row in range(1, d):
-        np.multiply(J[:, :, row, None], B[:, None, :, row], out=buffer)
-        Y += buffer
+    B = memory.array("B", A.shape)
+    L.forward(A.swapaxes(0, 1), B.swapaxes(0, 1))
+    J = pose_jacobian(A, X, memory)
+    np.einsum("karn,kirn->kain", J, B, out=Y)
     Y = Y.reshape(6 * k, 3 * n)
 
     J = J.reshape(k, 6, d * n)
     U = J @ J.transpose(0, 2, 1)
     g = (J @ r.reshape(k, d * n, 1)).ravel() - Y @ Lg.ravel()
-    S = -(Y @ Y.T)
+    S = Y @ Y.T
+    np.negative(S, out=S)
     for i in range(k):
         S[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] += U[i]
     return Eliminated(U, S, g, Y, Lg, L)

@@ -17,7 +17,10 @@ def rays(pixels_px: FloatArray, cameras: IntArray, intrinsics: tuple[Intrinsics,
     out = np.empty_like(pixels_px)
     for i, model in enumerate(intrinsics):
         own = cameras == i
-        out[own] = camera.rays(model.vector, pixels_px[own])[:, :2]
+        if any(model.distortion):
+            out[own] = camera.rays(model.vector, pixels_px[own])[:, :2]
+        else:
+            out[own] = (pixels_px[own] - [model.cx, model.cy]) / [model.fx, model.fy]
     return out
 
 
@@ -40,7 +43,8 @@ def triangulate(grouping: Grouping, rays_xy: FloatArray, T: FloatArray) -> tuple
             V, right = point_blocks(A, b)
             with np.errstate(invalid="ignore", divide="ignore"):
                 L = Cholesky3.of(V)
-                x = L.backward(L.forward(right))
+                L.forward(right, right)
+                x = L.backward(right)
             z = camera_points(R, t, x)[:, 2]
             front = z > 0 if block.seen is None else (z > 0) | ~block.seen
             scale = np.where(front & (scale > 0), 1.0 / np.where(front, z, 1.0), scale)

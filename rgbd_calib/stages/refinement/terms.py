@@ -33,6 +33,10 @@ class PointTerm:
         self._weights: list[FloatArray | None] = [None] * len(grouping.blocks)
         self._residuals: list[FloatArray] = [np.empty(0)] * len(grouping.blocks)
         self._eliminated: list[kernels.Eliminated] = []
+        self._memory = kernels.Memory()
+        self._Y = [
+            np.empty((len(b.cameras) - b.first_free, 6, 3, b.points.stop - b.points.start)) for b in grouping.blocks
+        ]
         self.set_sigmas(np.ones(n_cameras))
 
     def set_sigmas(self, sigmas: FloatArray) -> None:
@@ -65,7 +69,7 @@ class PointTerm:
         self._eliminated = []
         for i, block in enumerate(self.grouping.blocks):
             A, r, _ = self._weighted(i, block)
-            out = kernels.eliminate(A, r, self._X[:, block.points], block.first_free, damping)
+            out = kernels.eliminate(A, r, self._X[:, block.points], block.first_free, damping, self._memory, self._Y[i])
             free = block.cameras[block.first_free :] - 1
             at = (6 * free[:, None] + np.arange(6)).ravel()
             S[at[:, None], at] += out.S
@@ -94,7 +98,8 @@ class PointTerm:
         for i, (block, out) in enumerate(zip(self.grouping.blocks, self._eliminated, strict=True)):
             A, r, weights = self._weighted(i, block)
             X = self._X[:, block.points]
-            B = out.L.forward(A)
+            B = np.empty_like(A)
+            out.L.forward(A.swapaxes(0, 1), B.swapaxes(0, 1))
             free = block.cameras[block.first_free :] - 1
             at = (6 * free[:, None] + np.arange(6)).ravel()
             Y = out.Y.reshape(len(at), 3, -1)
@@ -102,7 +107,7 @@ class PointTerm:
                 E = -np.einsum("crn,acn->arn", B[j], Y)
                 own = j - block.first_free
                 if own >= 0:
-                    E[6 * own : 6 * own + 6] += kernels.pose_jacobian(A[j : j + 1], X)[0]
+                    E[6 * own : 6 * own + 6] += kernels.pose_jacobian(A[j : j + 1], X, self._memory)[0]
                 E = E.reshape(len(at), -1)
                 absorbed = np.vdot(B[j], B[j]) + np.vdot(C[at[:, None], at], E @ E.T)
                 count = weights[j].sum() / mean_weight
@@ -186,7 +191,7 @@ class PixelTerm(PointTerm):
     def _jacobian(self, i: int, block: Block) -> FloatArray:
         xy, z_inv = self._state[i]
         R = self._T[block.cameras, :3, :3]
-        return kernels.pixel_jacobian(R, xy, z_inv, self._block_focal(block), self._block_lens(block))
+        return kernels.pixel_jacobian(R, xy, z_inv, self._block_focal(block), self._block_lens(block), self._memory)
 
 
 class MeasuredPointTerm(PointTerm):
