@@ -47,9 +47,9 @@ def command(
     output: Path,
     overwrite: bool,
 ) -> None:
-    """Draw a calibration board at true scale, with a ruler, and print its line of dataset.yaml.
+    """Draw a calibration board for the printer.
 
-    The back of a two-sided board carries the same print; glued back to back, both upright, its corners coincide with
+    At true scale, with a ruler; its line of dataset.yaml goes to stdout and onto the page. The back of a two-sided board carries the same print; glued back to back, both upright, its corners coincide with
     the front's. Choose cols + rows odd, so that a checkerboard cannot be mistaken for itself turned by half.
 
     \b

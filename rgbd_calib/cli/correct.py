@@ -25,9 +25,9 @@ from rgbd_calib.cli.options import (
 @output_option("the corrected recording, a folder")
 @overwrite_option
 def command(recording: Path, rig_path: Path, undistort: bool, jobs: int | None, output: Path, overwrite: bool) -> None:
-    """Remove the depth bias from a recording, and its lens distortion if asked.
+    """Remove depth bias and distortion from a recording.
 
-    OUT is a recording like the one it was made from, with the intrinsics in its dataset.yaml, and with a rig.yaml that
+    Distortion only with --undistort. OUT is a recording like the one it was made from, with the intrinsics in its dataset.yaml, and with a rig.yaml that
     fits it: no bias any more and, with --undistort, no distortion. Depth keeps its unit and is rounded to it;
     undistorted depth is taken from the nearest pixel, never mixed.
 

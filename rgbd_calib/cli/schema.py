@@ -17,9 +17,9 @@ MODELS = {
 @click.command
 @click.argument("name", required=False, metavar="[NAME]")
 def command(name: str | None) -> None:
-    """Print the JSON Schema of a file format; without NAME, list the formats.
+    """Print the JSON Schema of a file format.
 
-    Editors that know JSON Schema then complete and check the YAML while it is typed.
+    Without NAME, list the formats. Editors that know JSON Schema then complete and check the YAML while it is typed.
 
     \b
     Examples:

@@ -34,9 +34,9 @@ def command(
     serve: bool,
     overwrite: bool,
 ) -> None:
-    """Show a rig in the viewer Rerun: cameras and, with a recording, images and clouds over time.
+    """Show a rig and its clouds in the viewer Rerun.
 
-    Needs `pip install rgbd-calib[view]`.
+    Cameras with their frusta and, with a recording, images and clouds over time. Needs `pip install rgbd-calib[view]`.
 
     \b
     Examples:
