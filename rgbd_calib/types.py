@@ -137,8 +137,9 @@ class DepthBias:
         """One sigma of the correction at z_m, metres, same shape; needs the covariance."""
         if self.covariance is None:
             raise ValueError("this depth bias has no covariance")
-        V = polynomial.polyvander(np.clip(np.asarray(z_m, float), self.min_m, self.max_m), len(self.coefficients) - 1)
-        return np.sqrt(np.einsum("...i,ij,...j->...", V, self.covariance, V))
+        z_m = np.asarray(z_m, float)
+        V = polynomial.polyvander(np.clip(z_m, self.min_m, self.max_m), len(self.coefficients) - 1)
+        return np.sqrt(np.einsum("...i,ij,...j->...", V, self.covariance, V)).reshape(z_m.shape)
 
 
 @dataclass(frozen=True)
