@@ -22,6 +22,7 @@ from rgbd_calib.io.rig import read_boards, read_rig
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Progress, board_of, detections_from
 from rgbd_calib.pipeline.rig_inputs import common_cameras
+from rgbd_calib.stages import uncertainty
 from rgbd_calib.stages.association import label_views
 from rgbd_calib.stages.board_pose import pose_view
 from rgbd_calib.stages.plane_filter import filter_planes
@@ -120,10 +121,12 @@ def against_truth(rig: Rig, truth: Rig, boards: Mapping[str, FloatArray], board:
     points = _volume(truth, boards, board)
     pairs = []
     for a, b in combinations(rig.cameras, 2):
-        in_a, in_b = _observe(truth, a, points), _observe(truth, b, points)
+        in_a, in_b = uncertainty.observe(truth, a, points), uncertainty.observe(truth, b, points)
         seen = in_a.seen & in_b.seen
         if seen.any():
-            places = [_place(rig, name, o.pixels_px[seen], o.raw_m[seen]) for name, o in ((a, in_a), (b, in_b))]
+            places = [
+                uncertainty.place(rig, name, o.pixels_px[seen], o.raw_m[seen]) for name, o in ((a, in_a), (b, in_b))
+            ]
             distance = np.linalg.norm(places[0] - places[1], axis=1)
             pairs.append(PairAlignment((a, b), distance, (in_a.z_m + in_b.z_m)[seen] / 2, np.empty(0)))
     if not pairs:
@@ -182,15 +185,6 @@ def place_views(
     return label_views(posed, board, T_world_color, config.association)[0]
 
 
-@dataclass(frozen=True)
-class _Observed:
-    pixels_px: FloatArray
-    raw_m: FloatArray
-    """The depth that the sensor would report without noise."""
-    z_m: FloatArray
-    seen: np.ndarray
-
-
 def _numbers(distance_m: FloatArray, transfer_px: FloatArray) -> dict[str, float]:
     out: dict[str, float] = {"points": len(distance_m)}
     if len(distance_m):
@@ -214,9 +208,7 @@ def _volume(truth: Rig, boards: Mapping[str, FloatArray], board: Board | None) -
         corners = np.concatenate([se3.transform(T, board.corners_m()) for T in boards.values()])
     else:
         corners = np.concatenate([_frustum(truth, name) for name in truth.cameras])
-    sides = [np.linspace(lo, hi, GRID) for lo, hi in zip(corners.min(axis=0), corners.max(axis=0), strict=True)]
-    points: FloatArray = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
-    return points
+    return uncertainty.volume(corners, GRID)
 
 
 def _frustum(truth: Rig, name: str) -> FloatArray:
@@ -226,35 +218,13 @@ def _frustum(truth: Rig, name: str) -> FloatArray:
     return se3.transform(own.T_world_color, np.concatenate([rays * NEAR_M, rays * FAR_M]))
 
 
-def _observe(truth: Rig, name: str, points_world: FloatArray) -> _Observed:
-    own = truth.cameras[name]
-    p = se3.transform(se3.inverse(own.T_world_color), points_world)
-    z = p[:, 2]
-    with np.errstate(all="ignore"):
-        pixels = camera.project(own.intrinsics.vector, p)
-        back = camera.unproject(own.intrinsics.vector, pixels, z)
-    inside = np.all((pixels >= 0) & (pixels <= [own.intrinsics.width - 1, own.intrinsics.height - 1]), axis=1)
-    seen = inside & (z > 0.3) & (z < FAR_M + 1) & (np.linalg.norm(back - p, axis=1) < 1e-6)
-    raw = z.copy()
-    if own.depth_bias is not None:
-        for _ in range(30):  # fixed point of raw + bias(raw) = z: the bias is small and smooth
-            raw = raw - (own.depth_bias.correct(raw) - z)
-    return _Observed(pixels, raw, z, seen)
-
-
-def _place(rig: Rig, name: str, pixels_px: FloatArray, raw_m: FloatArray) -> FloatArray:
-    own = rig.cameras[name]
-    z_m = raw_m if own.depth_bias is None else own.depth_bias.correct(raw_m)
-    return se3.transform(own.T_world_color, camera.unproject(own.intrinsics.vector, pixels_px, z_m))
-
-
 def _compare(rig: Rig, a: PlacedView, b: PlacedView, board: Board) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Distances, depths and transfer errors of the corners that both saw (of the same physical corner)."""
     number_a, number_b = a.front_corner(board), b.front_corner(board)
     _, ia, ib = np.intersect1d(number_a, number_b, return_indices=True)
     places = []
     for placed, index in ((a, ia), (b, ib)):
-        p = _place(rig, placed.view.camera, placed.view.corners_px[index], placed.view.depth_m[index])
+        p = uncertainty.place(rig, placed.view.camera, placed.view.corners_px[index], placed.view.depth_m[index])
         on_board = placed.points_m(board)[index]
         to_front = se3.transform(placed.T_color_board, on_board * [1, 1, 0]) - se3.transform(
             placed.T_color_board, on_board
