@@ -32,7 +32,7 @@ def inputs(
             f"refinement: the reference {reference} is not among the cameras {', '.join(data.cameras)}. Choose one of them"
         )
     for camera in data.cameras:
-        for what, known in (("intrinsics", intrinsics), ("a starting pose", T_world_color)):
+        for what, known in (("intrinsics", intrinsics), ("starting pose", T_world_color)):
             if camera not in known:
                 raise CalibrationError(
                     f"{camera}: no {what} given, needed by the refinement. Calibrate or place it first"

@@ -27,7 +27,6 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.refinement.groups import Grouping
 from rgbd_calib.stages.refinement.kernels import Memory
 
-
 _IDENTITY = np.eye(3, 4)
 
 
@@ -103,7 +102,7 @@ class MomentTerm:
         delta = self._D[:, :3] - _IDENTITY
         delta = delta.transpose(1, 0, 2).reshape(3, 4 * N)
         moved = delta @ Q.yy
-        cost = Q.ee + float(np.vdot(2 * Q.ey + moved, delta))
+        cost = max(Q.ee + float(np.vdot(2 * Q.ey + moved, delta)), 0.0)  # exact data: 0 but for rounding
         return cost * self._precision, (Q.ey + moved).reshape(3, N, 4).transpose(1, 0, 2) * self._precision
 
     def _moments(self, power: int) -> _Moments:

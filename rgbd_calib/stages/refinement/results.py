@@ -14,6 +14,7 @@ from rgbd_calib.stages.refinement.params import RefinementParams, RefinementResu
 from rgbd_calib.stages.refinement.problem import Problem
 from rgbd_calib.stages.refinement.solver import Minimum
 from rgbd_calib.stages.refinement.statistics import Share
+from rgbd_calib.stages.refinement.terms import MeasuredPointTerm
 from rgbd_calib.types import Correspondences, IntArray
 
 
@@ -56,7 +57,8 @@ def assemble(
     own, cameras = fit.problem, data.cameras
     px, m = pair(own, sigmas)
     sets = problem.point_sets(own, fit.minimum.state, data)
-    noise = [m if own.kind(term) else 0.0 for term in own.terms]
+    noise = [m * term.typical_scale if isinstance(term, MeasuredPointTerm) else m for term in own.terms]
+    noise = [n if own.kind(term) else 0.0 for n, term in zip(noise, own.terms, strict=True)]
     checks.spread(own.cameras, [(g, X, n) for (g, X), n in zip(sets, noise, strict=True)])
 
     order = [own.cameras.index(c) for c in cameras]

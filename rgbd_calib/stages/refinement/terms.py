@@ -206,6 +206,8 @@ class MeasuredPointTerm(PointTerm):
         self._measured = [block.gather(xyz_m) for block in grouping.blocks]
         if covariance is None:
             covariance = np.broadcast_to(np.eye(3), (len(xyz_m), 3, 3))
+        self.typical_scale = float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2)) / 3))
+        """Median root mean square of the covariances: what a sigma of 1 is in metres."""
         whitening = np.linalg.inv(np.linalg.cholesky(covariance)).reshape(-1, 9)
         self._whitening = []
         for block in grouping.blocks:
