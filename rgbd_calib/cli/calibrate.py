@@ -75,10 +75,12 @@ def command(
       rgbd-calib calibrate demo/extrinsic --intrinsics demo/intrinsic --depth-bias demo/depth_bias -o rig.yaml
       rgbd-calib calibrate demo/extrinsic --intrinsics intrinsics.yaml --method biobjective -o rig.yaml
     """
-    for path in (output, *([correspondences] if correspondences else [])):
+    left = output.with_name(f"{output.stem}.residuals.csv")
+    for path in (output, left, *([correspondences] if correspondences else [])):
         refuse_existing(path, overwrite)
     from rgbd_calib.io.correspondences import write_correspondences
     from rgbd_calib.io.recording import open_recording
+    from rgbd_calib.io.residuals import write_residuals
     from rgbd_calib.io.rig import write_rig
     from rgbd_calib.pipeline.calibrate import calibrate
     from rgbd_calib.pipeline.config import load_config
@@ -103,7 +105,8 @@ def command(
         jobs=jobs,
         progress=progress,
     )
-    write_rig(output, result.rig)
+    write_residuals(left, result.residuals)
+    write_rig(output, result.rig, result.boards)
     if correspondences:
         write_correspondences(correspondences, result.correspondences)
     for line in describe(result.rig.quality):
@@ -119,7 +122,7 @@ def command(
         )
         x, y, z = camera.T_world_color[:3, 3]
         click.echo(f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m  {sure}")
-    say(f"Wrote {output}")
+    say(f"Wrote {output}, and what is left at every corner to {left}")
 
 
 def describe(quality: dict) -> list[str]:

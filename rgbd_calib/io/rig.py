@@ -114,6 +114,12 @@ def read_depth_bias(path: Path) -> dict[str, DepthBias]:
     return found
 
 
+def read_depth_bias_samples(path: Path) -> dict[str, Any]:
+    """By camera, `z_m`, `z_true_m` and `dropped`: the data that depth_bias.yaml was fitted to, where it has them."""
+    model = parse(RigModel, load_yaml(path), path)
+    return {name: own["samples"] for name, c in model.cameras.items() if "samples" in (own := c.model_dump())}
+
+
 def read_boards(path: Path) -> dict[str, FloatArray]:
     """T_world_board (4, 4) by frame from a simulation's truth.yaml; empty where there are none."""
     model = parse(RigModel, load_yaml(path), path)

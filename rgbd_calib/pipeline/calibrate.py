@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import platform
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+import scipy
 
 import rgbd_calib
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import plain
 from rgbd_calib.io.recording import Recording
+from rgbd_calib.io.residuals import Residuals
+from rgbd_calib.pipeline import details
 from rgbd_calib.pipeline.config import Config, as_plain
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.pipeline.evaluate import Evaluation, against_views
@@ -44,6 +49,8 @@ class Views:
     lenses: IntrinsicsSource
     biases: dict[str, DepthBias]
     bias_origin: str
+    bias_samples: dict[str, Any]
+    """By camera, the data that the depth bias was fitted to, where they are known."""
     filtered: PlaneFilterResult
     association: AssociationResult
 
@@ -59,6 +66,7 @@ class Calibration:
     correspondences: Correspondences
     boards: dict[str, FloatArray]
     """T_world_board (4, 4) by frame."""
+    residuals: Residuals
     evaluation: Evaluation | None
     """On the recording itself; None where no two cameras have depth on the same corner."""
 
@@ -91,9 +99,12 @@ def calibrate(
     reference = views.association.reference
     lenses, biases = views.lenses.intrinsics, views.biases
     data = correspond(views.association.views, board, lenses, biases, cameras)
+    residuals: Residuals | None = None
+    joint: details.Joint | None = None
     if config.method == "bundle":
         solved = _bundle(views, board, recording, config, reference)
         boards, rig = board_poses(solved), _rig_of_bundle(solved, reference)
+        residuals, joint = details.residuals_of_bundle(solved, board), details.joint_of_bundle(solved)
         quality = _bundle_quality(solved)
     else:
         start = initialize(data, lenses, reference, config.initialization)
@@ -106,10 +117,20 @@ def calibrate(
             refined = refine(data, lenses, start.T_world_color, reference, params)
             rig = _rig_of_refinement(refined, views, reference)
             quality = {"initialization": _steps(start), **refinement_quality(refined)}
+            residuals = details.residuals_of_refinement(refined, data, views.association.views, board)
+            joint = details.joint_of_refinement(refined)
     placed = pose_by_rig(rig, views.association.views, board, config)
     boards = boards or {p.view.frame: rig.cameras[p.view.camera].T_world_color @ p.T_color_board for p in placed}
     evaluation = against_views(rig, placed, board) if _pairs_with_depth(placed) else None
+    residuals = residuals or details.residuals_of_rig(rig, placed, boards, board)
     quality |= _common_quality(recording, views, evaluation)
+    quality |= details.starting_rig(
+        views.association.views, views.association.T_world_color, lenses, board, reference, config.initialization
+    )
+    if joint is not None:
+        with_depth = [name for name in cameras if recording.depth_files[name]]
+        quality |= details.expectation(rig, joint, boards, board, with_depth)
+    quality |= {"board": asdict(board), "depth_bias_samples": views.bias_samples}
     provenance = {
         **provenance_of(config),
         "recording": str(recording.path),
@@ -123,6 +144,7 @@ def calibrate(
         placed,
         data,
         boards,
+        residuals,
         evaluation,
     )
 
@@ -142,14 +164,14 @@ def prepare_views(
     reference = reference_of(config, cameras)
     detections = detections or detect(recording, config.detect, jobs, progress)
     lenses = resolve_intrinsics(intrinsics, recording, detections, config, progress)
-    biases, bias_origin = resolve_depth_bias(depth_bias, recording, lenses.intrinsics, config, progress)
+    biases, bias_origin, samples = resolve_depth_bias(depth_bias, recording, lenses.intrinsics, config, progress)
     filtered = filter_planes(detections.views, lenses.intrinsics, biases, config.plane_filter, config.seed)
     posed = [
         pose_view(view, board, lenses.intrinsics[view.camera], biases.get(view.camera), config.board_pose)
         for view in filtered.views
     ]
     association = associate(posed, board, reference, cameras, config.association)
-    return Views(detections, lenses, biases, bias_origin, filtered, association)
+    return Views(detections, lenses, biases, bias_origin, samples, filtered, association)
 
 
 def reference_of(config: Config, cameras: Sequence[str]) -> str:
@@ -192,6 +214,7 @@ def provenance_of(config: Config) -> dict[str, Any]:
     """Which program, run how."""
     return {
         "program": f"rgbd-calib {rgbd_calib.__version__}",
+        "versions": {"python": platform.python_version()} | {m.__name__: m.__version__ for m in (np, scipy, cv2)},
         "command": " ".join(["rgbd-calib", *sys.argv[1:]]),
         "seed": config.seed,
         "config": plain(as_plain(config)),
@@ -368,4 +391,4 @@ def _pairs_with_depth(placed: Sequence[PlacedView]) -> bool:
 def _no_views(lenses: IntrinsicsSource) -> Views:
     empty: tuple[BoardView, ...] = ()
     nothing = AssociationResult((), {}, {}, (), "")
-    return Views(Detections(empty, ()), lenses, {}, "none", PlaneFilterResult(empty, 0, ()), nothing)
+    return Views(Detections(empty, ()), lenses, {}, "none", {}, PlaneFilterResult(empty, 0, ()), nothing)

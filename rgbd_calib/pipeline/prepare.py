@@ -13,7 +13,7 @@ from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.recording import Recording, open_recording
-from rgbd_calib.io.rig import read_depth_bias, read_intrinsics, read_intrinsics_sd
+from rgbd_calib.io.rig import read_depth_bias, read_depth_bias_samples, read_intrinsics, read_intrinsics_sd
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.stages.board_pose import pose_view
@@ -115,7 +115,7 @@ def depth_bias_of_recording(
             continue
         distances = recording.distances_m(name)
         if distances:
-            z_m, z_true_m = _wall_pairs(recording, name, distances, intrinsics.get(name), progress)
+            z_m, z_true_m, sigma_m = _wall_samples(recording, name, distances, intrinsics.get(name), progress)
         else:
             if name not in intrinsics:
                 raise ConfigError(
@@ -123,8 +123,8 @@ def depth_bias_of_recording(
                     "and for this the camera's intrinsics are needed. Give --intrinsics, or write distances.csv"
                 )
             detections = detections or detect(recording, config.detect, jobs, progress)
-            z_m, z_true_m = _board_pairs(detections.of(name), recording, intrinsics[name])
-        out[name] = fit_with_data(z_m, z_true_m, config.depth_bias, camera=name)
+            (z_m, z_true_m), sigma_m = _board_pairs(detections.of(name), recording, intrinsics[name]), None
+        out[name] = fit_with_data(z_m, z_true_m, config.depth_bias, camera=name, sigma_m=sigma_m)
     if not out:
         raise CalibrationError(f"{recording.path}: no camera has depth images; nothing to correct. Record depth too")
     return out
@@ -132,23 +132,30 @@ def depth_bias_of_recording(
 
 def resolve_depth_bias(
     source: Path | None, recording: Recording, intrinsics: Mapping[str, Intrinsics], config: Config, progress: Progress
-) -> tuple[dict[str, DepthBias], str]:
-    """Depth biases by camera, from a file or a bias recording, and where they are from; none without a source."""
+) -> tuple[dict[str, DepthBias], str, dict[str, Any]]:
+    """Depth biases by camera, from a file or a bias recording, where they are from, and the data they were fitted to."""
     if source is None:
-        return {}, "none"
+        return {}, "none", {}
     cameras = [name for name in recording.cameras if recording.depth_files[name]]
     if source.is_dir():
         fits = depth_bias_of_recording(open_recording(source), intrinsics, config, progress=progress)
         given = {name: fit.bias for name, fit in fits.items()}
+        samples = {name: samples_of(fit) for name, fit in fits.items()}
     else:
-        given = read_depth_bias(source)
+        given, samples = read_depth_bias(source), read_depth_bias_samples(source)
     _need(source, "depth_bias", cameras, given)
-    return {name: given[name] for name in cameras}, str(source)
+    return {name: given[name] for name in cameras}, str(source), samples
 
 
-def _wall_pairs(
+def samples_of(fit: DepthBiasFit) -> dict[str, Any]:
+    """The data behind a depth bias, for a file."""
+    return {"z_m": fit.z_m, "z_true_m": fit.z_true_m, "dropped": fit.dropped}
+
+
+def _wall_samples(
     recording: Recording, name: str, distances: dict[str, float], intrinsics: Intrinsics | None, progress: Progress
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Depths at the principal point, true distances and standard errors, (n,) each, metres."""
     info = recording.cameras[name]
     centre = (intrinsics.cx, intrinsics.cy) if intrinsics else ((info.width - 1) / 2, (info.height - 1) / 2)
     rows = []
@@ -157,9 +164,10 @@ def _wall_pairs(
             raise ConfigError(
                 f"{recording.path / name / 'distances.csv'}: frame {frame} has no depth image. Record it, or take the line out"
             )
-        rows.append((wall_depth(recording.depth_m(name, frame), centre), distances[frame]))
-    pairs = np.array([row for row in rows if np.isfinite(row[0])]).reshape(-1, 2)
-    return pairs[:, 0], pairs[:, 1]
+        rows.append((*wall_depth(recording.depth_m(name, frame), centre), distances[frame]))
+    z_m, error_m, z_true_m = np.array([row for row in rows if np.isfinite(row[0])]).reshape(-1, 3).T
+    rounding_m = info.depth_scale / np.sqrt(12)  # of the depth image, the same for all pixels of a square wall
+    return z_m, z_true_m, np.hypot(error_m, rounding_m)
 
 
 def _board_pairs(

@@ -1,0 +1,116 @@
+"""What is left between every observation and the calibrated rig: RIG.residuals.csv beside RIG.yaml."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rgbd_calib.errors import ConfigError
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.io.recording import number, read_table, write_table
+
+COLUMNS = (
+    "camera",
+    "frame",
+    "feature",
+    "u_px",
+    "v_px",
+    "residual_u_px",
+    "residual_v_px",
+    "depth_m",
+    "residual_depth_m",
+    "used",
+)
+_USED = {(True, True): "both", (True, False): "pixel", (False, True): "depth", (False, False): "none"}
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """One row for each corner of each view; NaN where there is no such observation."""
+
+    camera: np.ndarray
+    """(n,) of str."""
+    frame: np.ndarray
+    """(n,) of str."""
+    feature: np.ndarray
+    """(n,) of str: the number of the corner on the board's front."""
+    pixels_px: FloatArray
+    """(n, 2), as detected."""
+    residual_px: FloatArray
+    """(n, 2), measured - predicted."""
+    depth_m: FloatArray
+    """(n,), as the sensor reported it."""
+    residual_depth_m: FloatArray
+    """(n,), measured, its bias removed, - predicted."""
+    used_pixel: np.ndarray
+    """(n,) bool: took part in the calibration."""
+    used_depth: np.ndarray
+    """(n,) bool."""
+
+    def of(self, camera: str) -> Residuals:
+        """The rows of one camera."""
+        return self.select(self.camera == camera)
+
+    def select(self, rows: np.ndarray) -> Residuals:
+        """Some of the rows."""
+        return Residuals(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+def residuals_path(rig: Path) -> Path:
+    """Where the residuals of a rig file stand."""
+    return rig.with_name(f"{rig.stem}.residuals.csv")
+
+
+def write_residuals(path: Path, r: Residuals) -> None:
+    """Write one row for each observation; empty where there is none; `used` is both, pixel, depth or none."""
+    rows = (
+        (
+            camera,
+            frame,
+            feature,
+            *(f"{x:.3f}" for x in uv),
+            *("" if np.isnan(x) else f"{x:.4f}" for x in left),
+            *("" if np.isnan(x) else f"{x:.5f}" for x in (z, left_z)),
+            _USED[bool(pixel), bool(depth)],
+        )
+        for camera, frame, feature, uv, left, z, left_z, pixel, depth in zip(
+            r.camera,
+            r.frame,
+            r.feature,
+            r.pixels_px,
+            r.residual_px,
+            r.depth_m,
+            r.residual_depth_m,
+            r.used_pixel,
+            r.used_depth,
+            strict=True,
+        )
+    )
+    write_table(path, COLUMNS, rows)
+
+
+def read_residuals(path: Path) -> Residuals:
+    """Read what :func:`write_residuals` wrote.
+
+    Raises
+    ------
+    ConfigError
+        Names the line: not a number, or another word under `used`.
+    """
+    flags = {word: pair for pair, word in _USED.items()}
+    table, numbers, used = [], [], []
+    for line, row in read_table(path, COLUMNS):
+        if row["used"] not in flags:
+            raise ConfigError(
+                f"{path}: line {line}: used: {row['used']!r} seen, one of {', '.join(flags)} needed. Calibrate again"
+            )
+        table.append((row["camera"], row["frame"], row["feature"]))
+        numbers.append([number(path, line, key, row[key] or "nan") for key in COLUMNS[3:9]])
+        used.append(flags[row["used"]])
+    names, values = np.array(table, dtype=str).reshape(-1, 3), np.array(numbers, float).reshape(-1, 6)
+    pixel, depth = np.array(used, bool).reshape(-1, 2).T
+    return Residuals(
+        *names.T, values[:, :2], values[:, 2:4], values[:, 4], values[:, 5], used_pixel=pixel, used_depth=depth
+    )

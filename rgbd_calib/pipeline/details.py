@@ -1,0 +1,164 @@
+"""What a calibration leaves for its reader: residuals, the expected error over the working volume, where it started."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from rgbd_calib.errors import CalibrationError
+from rgbd_calib.geometry import camera as lens
+from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.io.residuals import Residuals
+from rgbd_calib.stages.bundle import BundleResult, model
+from rgbd_calib.stages.correspondence import correspond
+from rgbd_calib.stages.initialization import InitializationParams, initialize
+from rgbd_calib.stages.refinement import RefinementResult
+from rgbd_calib.stages.uncertainty import expected_alignment, volume
+from rgbd_calib.types import Board, Correspondences, PlacedView, Rig
+
+GRID = 9
+"""Points along each side of the working volume: 729 lines at most in a rig file."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Covariance of all cameras together, and where each camera's parameters stand in it."""
+
+    covariance: FloatArray
+    parameters: dict[str, slice]
+
+
+def joint_of_bundle(solved: BundleResult) -> Joint:
+    """Poses, intrinsics and depth biases."""
+    return Joint(
+        getattr(solved.covariance, "cameras", solved.covariance),
+        {name: solved.parameters(name) for name in solved.cameras},
+    )
+
+
+def joint_of_refinement(refined: RefinementResult) -> Joint:
+    """Poses alone."""
+    parts = {name: slice(6 * i, 6 * i + 6) for i, name in enumerate(refined.cameras)}
+    return Joint(refined.joint_covariance, parts)
+
+
+def expectation(
+    rig: Rig, joint: Joint, boards: Mapping[str, FloatArray], board: Board, cameras: Sequence[str]
+) -> dict[str, Any]:
+    """Expected alignment error as plain numbers; empty where no point of the boards' box is seen by two cameras.
+
+    The points are in the reference camera's frame, so that they hold in any world.
+    """
+    corners_m = np.concatenate([se3.transform(T, board.corners_m()) for T in boards.values()])
+    expected = expected_alignment(rig, joint.covariance, joint.parameters, volume(corners_m, GRID), cameras)
+    if expected is None:
+        return {}
+    T_reference_world = se3.inverse(rig.cameras[rig.reference].T_world_color)
+    mean_mm = 1e3 * expected.mean_m
+    in_all = np.concatenate([e[np.isfinite(e)] for e in expected.pairs.values()])
+    only_poses = max(p.stop - p.start for p in joint.parameters.values()) == 6
+    return {
+        "expected_alignment": {
+            "of": "poses alone; intrinsics and depth taken as exact" if only_poses else "poses, intrinsics, depth bias",
+            "mean_mm": round(float(1e3 * in_all.mean()), 3),
+            "worst_mm": round(float(1e3 * in_all.max()), 3),
+            "pairs": {
+                " - ".join(pair): {
+                    "points": int(np.isfinite(e).sum()),
+                    "mean_mm": round(float(1e3 * np.nanmean(e)), 3),
+                    "worst_mm": round(float(1e3 * np.nanmax(e)), 3),
+                }
+                for pair, e in expected.pairs.items()
+            },
+            "grid": {
+                "points_in_reference_m": np.round(se3.transform(T_reference_world, expected.points_m), 3),
+                "error_mm": np.round(mean_mm, 3),
+            },
+        }
+    }
+
+
+def starting_rig(
+    views: Sequence[PlacedView],
+    rough: Mapping[str, FloatArray],
+    intrinsics: Mapping[str, lens.Intrinsics],
+    board: Board,
+    reference: str,
+    params: InitializationParams,
+) -> dict[str, Any]:
+    """The rig before: first poses from depth as measured, intrinsics as given; what the fused cloud would look like."""
+    try:
+        data = correspond(views, board, dict(intrinsics), {}, list(intrinsics))
+        poses, how = initialize(data, dict(intrinsics), reference, params).T_world_color, "initialisation"
+    except CalibrationError:
+        poses, how = dict(rough), "single views of the board"
+    cameras = {name: {"T_world_color": poses[name], "intrinsics": asdict(own)} for name, own in intrinsics.items()}
+    return {"start": {"poses_from": how, "cameras": cameras}}
+
+
+def residuals_of_bundle(solved: BundleResult, board: Board) -> Residuals:
+    """Of every view, also of those that were dropped."""
+    used, counts = solved.obs, np.array([len(placed.view.ids) for placed in solved.views])
+    there = np.arange(used.has_pixel.shape[1]) < counts[:, None]
+    raw_m = np.full(there.shape, np.nan)
+    for row, placed in zip(raw_m, solved.views, strict=True):
+        row[: len(placed.view.ids)] = placed.view.depth_m
+    left_px, left_depth = model.residuals(solved.state, used.keep(there, np.isfinite(raw_m)), board)
+    names = [(p.view.camera, p.view.frame, str(k)) for p in solved.views for k in p.front_corner(board)]
+    return Residuals(
+        *np.array(names, dtype=str).T,
+        pixels_px=used.pixels_px[there],
+        residual_px=-left_px[there],
+        depth_m=raw_m[there],
+        residual_depth_m=np.where(np.isfinite(raw_m), -left_depth * used.depth_m**2, np.nan)[there],
+        used_pixel=used.has_pixel[there],
+        used_depth=used.has_depth[there],
+    )
+
+
+def residuals_of_refinement(
+    refined: RefinementResult, data: Correspondences, views: Sequence[PlacedView], board: Board
+) -> Residuals:
+    """Of every correspondence: against the free points of the paper."""
+    left: dict[tuple[int, int], tuple[FloatArray, float]] = {}
+    nothing = np.full(2, np.nan)
+    for c, p, r in zip(data.pixel_camera, data.pixel_point, refined.residuals_2d_px, strict=True):
+        left[int(c), int(p)] = (r, np.nan)
+    for c, p, r in zip(data.xyz_camera, data.xyz_point, refined.residuals_3d_m, strict=True):
+        left[int(c), int(p)] = (left.get((int(c), int(p)), (nothing, np.nan))[0], r[2])
+    by_name = {(data.cameras[c], *data.labels[p]): value for (c, p), value in left.items()}
+    return _of_views(views, board, lambda name: by_name.get(name, (nothing, np.nan)))
+
+
+def residuals_of_rig(
+    rig: Rig, views: Sequence[PlacedView], boards: Mapping[str, FloatArray], board: Board
+) -> Residuals:
+    """Against each frame's board, where nothing was refined."""
+    left = {}
+    for placed in views:
+        view, own = placed.view, rig.cameras[placed.view.camera]
+        p = se3.transform(se3.inverse(own.T_world_color) @ boards[view.frame], placed.points_m(board))
+        r = view.corners_px - lens.project(own.intrinsics.vector, p)
+        z_m = view.depth_m if own.depth_bias is None else own.depth_bias.correct(view.depth_m)
+        for k, uv, z in zip(placed.front_corner(board), r, z_m - p[:, 2], strict=True):
+            left[view.camera, view.frame, str(k)] = (uv, float(z))
+    return _of_views(views, board, lambda name: left[name])
+
+
+def _of_views(views: Sequence[PlacedView], board: Board, left: Any) -> Residuals:
+    names = [(p.view.camera, p.view.frame, str(k)) for p in views for k in p.front_corner(board)]
+    pairs = [left(name) for name in names]
+    px, z = np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])
+    return Residuals(
+        *np.array(names, dtype=str).T,
+        pixels_px=np.concatenate([p.view.corners_px for p in views]),
+        residual_px=px,
+        depth_m=np.concatenate([p.view.depth_m for p in views]),
+        residual_depth_m=z,
+        used_pixel=np.isfinite(px).all(axis=1),
+        used_depth=np.isfinite(z),
+    )
