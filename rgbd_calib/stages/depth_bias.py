@@ -2,10 +2,12 @@
 
     z_true - z = c0 + c1 z + ... + ck z^k
 
-fitted by weighted least squares; the order is the one with the lowest small-sample Akaike criterion, and so is the
-exponent p of the noise model sigma ~ z^p (2 for a triangulating sensor, 0 where tape and wall dominate). The scatter
-about the curve gives the noise, and so the covariance of the coefficients. Outside the range of the data the
-correction is held at the range's end.
+fitted by weighted least squares. Where each depth has a standard error, the weights are 1 / (error^2 + tau^2), with tau
+for what the true distances are off by (R. Paule, J. Mandel, J. Res. NBS 87(5), 1982: the tau at which the weighted
+squares are what they should be), and the order is the one with the lowest Akaike criterion. Where it has none, the
+noise is sigma ~ z^p (p = 2 for a triangulating sensor, 0 where tape and wall dominate), and the small-sample criterion
+chooses order and p together; the scatter about the curve gives the noise. Outside the range of the data the correction
+is held at the range's end.
 
 References
 ----------
@@ -18,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import polynomial
+from scipy.optimize import brentq
 
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry.so3 import FloatArray
@@ -30,7 +33,7 @@ class DepthBiasParams:
     """Degree of the polynomial; None: chosen from 1 ... max_order."""
     max_order: int = 4
     noise_exponent: float | None = None
-    """p of sigma ~ z^p; None: 0, 1 or 2, whichever is the most likely."""
+    """p of sigma ~ z^p, where the depths have no standard errors; None: 0, 1 or 2, whichever is the most likely."""
     min_range_ratio: float = 1.25
     """The farthest distance over the nearest: below it, offset and scale cannot be told apart."""
     outlier_sigmas: float = 5.0
@@ -45,24 +48,33 @@ class DepthBiasFit:
     z_true_m: FloatArray
     dropped: FloatArray
     """(n,) bool: too far from the curve."""
-    noise_exponent: float
 
 
 def fit_depth_bias(
-    z_m: FloatArray, z_true_m: FloatArray, params: DepthBiasParams | None = None, *, camera: str
+    z_m: FloatArray,
+    z_true_m: FloatArray,
+    params: DepthBiasParams | None = None,
+    *,
+    camera: str,
+    sigma_m: FloatArray | None = None,
 ) -> DepthBias:
-    """Depth bias of `camera` from reported depths (n,) and true ones (n,), metres.
+    """Depth bias of `camera` from reported depths (n,), their standard errors (n,) if known, and true ones (n,), metres.
 
     Raises
     ------
     CalibrationError
         Fewer data than the polynomial needs, or over too short a range.
     """
-    return fit_with_data(z_m, z_true_m, params, camera=camera).bias
+    return fit_with_data(z_m, z_true_m, params, camera=camera, sigma_m=sigma_m).bias
 
 
 def fit_with_data(
-    z_m: FloatArray, z_true_m: FloatArray, params: DepthBiasParams | None = None, *, camera: str
+    z_m: FloatArray,
+    z_true_m: FloatArray,
+    params: DepthBiasParams | None = None,
+    *,
+    camera: str,
+    sigma_m: FloatArray | None = None,
 ) -> DepthBiasFit:
     """The same as :func:`fit_depth_bias`, with the data and what was dropped."""
     params = params or DepthBiasParams()
@@ -79,17 +91,24 @@ def fit_with_data(
         )
     keep = np.ones(len(z_m), bool)
     for _ in range(5):
-        best = _best(z_m[keep], z_true_m[keep], params)
-        scaled = (z_true_m - z_m - polynomial.polyval(z_m, best.coefficients)) / z_m**best.exponent
+        best = _best(z_m[keep], z_true_m[keep], None if sigma_m is None else sigma_m[keep], params)
+        scaled = (z_true_m - z_m - polynomial.polyval(z_m, best.coefficients)) / (
+            z_m**best.exponent if sigma_m is None else np.hypot(sigma_m, best.tau_m)
+        )
         spread = 1.4826 * float(np.median(np.abs(scaled[keep]))) + 1e-12
         again = np.abs(scaled) <= params.outlier_sigmas * spread
         if np.array_equal(again, keep) or again.sum() < max(least, len(z_m) // 2):
             break
         keep = again
-    rms_m = float(np.sqrt(np.mean((scaled * z_m**best.exponent)[keep] ** 2)))
-    coefficients = tuple(float(c) for c in best.coefficients)
-    bias = DepthBias(coefficients, float(z_m[keep].min()), float(z_m[keep].max()), rms_m, best.covariance)
-    return DepthBiasFit(bias, z_m, z_true_m, ~keep, best.exponent)
+    left_m = (z_true_m - z_m - polynomial.polyval(z_m, best.coefficients))[keep]
+    bias = DepthBias(
+        tuple(float(c) for c in best.coefficients),
+        float(z_m[keep].min()),
+        float(z_m[keep].max()),
+        float(np.sqrt(np.mean(left_m**2))),
+        best.covariance,
+    )
+    return DepthBiasFit(bias, z_m, z_true_m, ~keep)
 
 
 @dataclass(frozen=True)
@@ -97,12 +116,17 @@ class _Fit:
     coefficients: FloatArray
     covariance: FloatArray
     exponent: float
+    tau_m: float
     criterion: float
 
 
-def _best(z_m: FloatArray, z_true_m: FloatArray, params: DepthBiasParams) -> _Fit:
+def _best(z_m: FloatArray, z_true_m: FloatArray, sigma_m: FloatArray | None, params: DepthBiasParams) -> _Fit:
     top = min(params.max_order, len(z_m) - 3)  # at least two degrees of freedom stay for the scatter
-    orders = [params.order] if params.order is not None else range(1, max(top, 1) + 1)
+    orders = [params.order] if params.order is not None else list(range(1, max(top, 1) + 1))
+    if sigma_m is not None:
+        tau_m = _tau(z_m, z_true_m, sigma_m, max(orders))
+        fits = (_fit_known(z_m, z_true_m, np.hypot(sigma_m, tau_m), order, tau_m) for order in orders)
+        return min(fits, key=lambda fit: fit.criterion)
     exponents = [0.0, 1.0, 2.0] if params.noise_exponent is None else [params.noise_exponent]
     return min((_fit(z_m, z_true_m, order, p) for order in orders for p in exponents), key=lambda fit: fit.criterion)
 
@@ -120,4 +144,32 @@ def _fit(z_m: FloatArray, z_true_m: FloatArray, order: int, exponent: float) -> 
     p = k + 1
     correction = 2 * p * (p + 1) / (n - p - 1) if n > p + 1 else np.inf if order > 1 else 0.0
     criterion = n * np.log(sse / n) + 2 * float(np.sum(np.log(sigma))) + 2 * p + correction
-    return _Fit(coefficients, R_inv @ R_inv.T * sse / max(n - k, 1), exponent, criterion)
+    return _Fit(coefficients, R_inv @ R_inv.T * sse / max(n - k, 1), exponent, 0.0, criterion)
+
+
+def _tau(z_m: FloatArray, z_true_m: FloatArray, sigma_m: FloatArray, order: int) -> float:
+    """Scatter beyond the standard errors, metres: the one at which chi^2 is its degrees of freedom; 0 if it is less."""
+    freedom = len(z_m) - order - 1
+
+    def excess(tau_m: float) -> float:
+        return _chi2(z_m, z_true_m, np.hypot(sigma_m, tau_m), order)[0] - freedom
+
+    high = float(np.ptp(z_true_m - z_m)) + 1e-6
+    return 0.0 if excess(0.0) <= 0 or excess(high) > 0 else float(brentq(excess, 0.0, high))
+
+
+def _chi2(
+    z_m: FloatArray, z_true_m: FloatArray, sigma_m: FloatArray, order: int
+) -> tuple[float, FloatArray, FloatArray]:
+    """Weighted squares of the fit, its coefficients and their covariance."""
+    A = polynomial.polyvander(z_m, order) / sigma_m[:, None]
+    y = (z_true_m - z_m) / sigma_m
+    R_inv = np.linalg.inv(np.linalg.qr(A, mode="r"))
+    covariance = R_inv @ R_inv.T
+    coefficients = covariance @ (A.T @ y)
+    return float(np.sum((y - A @ coefficients) ** 2)), coefficients, covariance
+
+
+def _fit_known(z_m: FloatArray, z_true_m: FloatArray, sigma_m: FloatArray, order: int, tau_m: float) -> _Fit:
+    chi2, coefficients, covariance = _chi2(z_m, z_true_m, sigma_m, order)
+    return _Fit(coefficients, covariance, 0.0, tau_m, chi2 + 2 * (order + 1))

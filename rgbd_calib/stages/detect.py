@@ -26,6 +26,9 @@ MIN_CORNERS = 6
 """Fewer corners of a ChArUco board than this make no view."""
 OUTLIER_SIGMAS = 4.0
 PLANE_SAMPLES = 100
+NOISE_FLOOR_PER_M = 1e-3
+"""The scatter of 1/z about the plane is taken for at least this: 1 mm at 1 m, 4 mm at 2 m. Most pixels of a board may
+share one step of the disparity, and their median deviation be zero."""
 WINDOW_SQUARES = 0.5
 """Half a window's side over the shortest distance to a neighbour. The finders of OpenCV are off by up to 0.3 px for a
 whole board at once; cv2.cornerSubPix with this window leaves 0.04 px that are independent from corner to corner."""
@@ -202,4 +205,4 @@ def _least_median(A: FloatArray, q: FloatArray, rng: np.random.Generator) -> tup
     )
     medians = np.median(np.abs(candidates @ A.T - q), axis=1)
     best = int(np.argmin(medians))
-    return candidates[best], 1.4826 * float(medians[best]) + 1e-12
+    return candidates[best], max(1.4826 * float(medians[best]), NOISE_FLOOR_PER_M)

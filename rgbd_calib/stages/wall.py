@@ -9,13 +9,17 @@ from rgbd_calib.geometry.so3 import FloatArray
 MIN_VALID_SHARE = 0.2
 CENTRE_SHARE = 0.6
 """Width and height of the part of the image that is used: the wall must fill it."""
-HUBER_SIGMAS = 2.0
+CLIP_SIGMAS = 4.0
 
 
-def wall_depth(depth_m: FloatArray, centre_px: tuple[float, float]) -> float:
-    """Depth reported at the principal point, metres, by a robust plane through the middle of the image.
+PATCHES = 6
+"""Patches along each side, from whose scatter the standard error comes: noise inside a patch may be correlated."""
 
-    1/z of a plane is affine in the pixel; the fit is iterated with Huber's weights, so that furniture at the border and
+
+def wall_depth(depth_m: FloatArray, centre_px: tuple[float, float]) -> tuple[float, float]:
+    """Depth reported at the principal point and its standard error, metres, by a robust plane through the middle.
+
+    1/z of a plane is affine in the pixel; the fit is repeated without what is far off it, so that furniture at the border and
     a wall not quite square to the camera do not matter. NaN where the depth image has too few measurements.
     """
     h, w = depth_m.shape
@@ -24,15 +28,22 @@ def wall_depth(depth_m: FloatArray, centre_px: tuple[float, float]) -> float:
     q = 1.0 / depth_m[v, u].ravel()
     valid = np.isfinite(q)
     if valid.mean() < MIN_VALID_SHARE:
-        return float("nan")
+        return float("nan"), float("nan")
     q = q[valid]
+    patch = (PATCHES * (v - v.min()) // (2 * dv) * PATCHES + PATCHES * (u - u.min()) // (2 * du)).ravel()[valid]
     A = np.column_stack([(u.ravel()[valid] - centre_px[0]) / w, (v.ravel()[valid] - centre_px[1]) / h, np.ones(len(q))])
     near = np.abs(q - np.median(q)) < 0.1 * np.median(q)
-    A, q = A[near], q[near]
-    weights = np.ones(len(q))
+    A, q, patch = A[near], q[near], patch[near]
+    keep = np.ones(len(q), bool)
     for _ in range(10):
-        plane = np.linalg.solve(A.T @ (weights[:, None] * A), A.T @ (weights * q))
-        residual = np.abs(q - A @ plane)
-        scale = 1.4826 * float(np.median(residual)) + 1e-12
-        weights = np.minimum(1.0, HUBER_SIGMAS * scale / np.maximum(residual, 1e-15))
-    return float(1.0 / plane[2])
+        plane = np.linalg.lstsq(A[keep], q[keep], rcond=None)[0]
+        residual = q - A @ plane
+        # the scatter of what is kept, not a median: most pixels may share one step of the disparity
+        again = np.abs(residual) < CLIP_SIGMAS * (float(np.std(residual[keep])) + 1e-12)
+        if np.array_equal(again, keep):
+            break
+        keep = again
+    count = np.bincount(patch[keep])
+    means = np.bincount(patch[keep], residual[keep])[count > 0] / count[count > 0]
+    error = np.sqrt(np.sum(means**2) / max(len(means) - 3, 1) / len(means))
+    return float(1.0 / plane[2]), float(error / plane[2] ** 2)
