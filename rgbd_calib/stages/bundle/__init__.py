@@ -18,7 +18,7 @@ from rgbd_calib.geometry.camera import N_INTRINSICS, Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.bundle import gross, model, observability, solve, variance
 from rgbd_calib.stages.bundle.model import N_BOW, Observations, State
-from rgbd_calib.stages.bundle.solve import Covariance, Prior, Weights
+from rgbd_calib.stages.bundle.solve import Prior, Weights
 from rgbd_calib.types import Board, DepthBias, PlacedView
 
 
@@ -89,7 +89,8 @@ class BundleResult:
     priors: Mapping[str, CameraPrior]
     state: State
     weights: Weights
-    covariance: Covariance
+    covariance: FloatArray
+    """(P, P) of all cameras' parameters and the bow; see :meth:`parameters`."""
     prior: Prior
     bias_range_m: FloatArray
     """(C, 2)."""
@@ -126,7 +127,7 @@ class BundleResult:
             return prior
         n = len(prior.coefficients) if prior is not None else 2
         at = self.parameters(camera).start + 6 + N_INTRINSICS
-        covariance = self.covariance.cameras[at : at + n, at : at + n]
+        covariance = self.covariance[at : at + n, at : at + n]
         low, high = (float(z) for z in self.bias_range_m[i])
         coefficients = tuple(float(c) for c in self.state.bias[i, :n])
         return DepthBias(coefficients, low, high, self.depth_rms_m(camera), covariance)
@@ -205,14 +206,16 @@ def bundle(
     held = replace(prior, free=prior.free & ~seen.undetermined)
     start = solve.with_values(state, seen.undetermined, prior)
     final = solve.minimize(start, obs, board, weights, held, params.max_iterations, params.tolerance)
-    cov = solve.covariance(solve.build(final.state, obs, board, weights, prior), prior.free)
+    system = solve.build(final.state, obs, board, weights, prior)
+    cov = solve.covariance(system, prior.free)
+    honest = solve.honest_covariance(system, cov, obs, weights, prior)
     message = "weights and unknowns settled" if settled else f"the weights still moved after {params.max_rounds} rounds"
     return BundleResult(
         cameras,
         dict(priors),
         final.state,
         weights,
-        cov,
+        honest,
         prior,
         depth_range,
         tuple(bool(np.any(all_obs.has_depth[all_obs.camera == i])) for i in range(len(cameras))),
@@ -354,7 +357,7 @@ def _check_left(
 def pose_covariance(result: BundleResult, camera: str) -> FloatArray:
     """(6, 6) of the left perturbation (rad, m) of T_world_color in the world frame."""
     at = result.parameters(camera).start
-    return result.covariance.cameras[at : at + 6, at : at + 6]
+    return result.covariance[at : at + 6, at : at + 6]
 
 
 def board_poses(result: BundleResult) -> dict[str, FloatArray]:
@@ -368,7 +371,7 @@ def camera_statistics(result: BundleResult, camera: str) -> dict[str, Any]:
     i = result.cameras.index(camera)
     mine = result.obs.camera == i
     pixels, depths = result.obs.has_pixel & mine[:, None], result.obs.has_depth & mine[:, None]
-    sd = np.sqrt(np.diag(result.covariance.cameras))[result.parameters(camera)]
+    sd = np.sqrt(np.diag(result.covariance))[result.parameters(camera)]
     out: dict[str, Any] = {
         "intrinsics_sd": sd[6 : 6 + N_INTRINSICS],
         "sigma_2d_px": result.weights.sigma_2d_px[i],

@@ -32,8 +32,8 @@ class Weights:
 
     Errors inside one view are not independent: a board that moved between two exposures, or a depth sensor's error that
     is smooth over the image, shift all its corners together. So the residuals of a view are split into what a change of
-    the board's pose in this view alone would explain (the columns of Q, orthonormal) and the rest; the first part has a
-    variance of its own, `ratio`^2 times the rest's. Q is held during one minimisation.
+    the board's pose in this view alone would explain (the columns of Q, orthonormal) and the rest. The estimate weighs
+    both alike; the covariance takes the first part's own variance, `ratio`^2 times the rest's.
     """
 
     sigma_2d_px: FloatArray
@@ -95,8 +95,7 @@ class System:
     gradient_boards: FloatArray
     """(F, 6)."""
     parts: FloatArray
-    """(4, Views, G, G): the information in each view's pixels off the pose part, pixels in it, depth off it and in it,
-    weighted."""
+    """(4, Views, G, G): the information in each view's pixels off the pose part, pixels in it, depth off it and in it."""
     columns: FloatArray
     """(Views, G - 6), global parameter of each local column."""
 
@@ -127,7 +126,7 @@ def sums_of_squares(state: State, obs: Observations, board: Board, weights: Weig
     r2, r3 = (pixel * w_pixel[..., None]).reshape(V, -1), depth * w_depth
     low2, low3 = np.einsum("vnd,vn->vd", weights.Q_pixel, r2), np.einsum("vnd,vn->vd", weights.Q_depth, r3)
     total2, total3, in2, in3 = (np.sum(x**2, axis=1) for x in (r2, r3, low2, low3))
-    return np.stack([total2 - in2, in2 / weights.ratio_pixel**2, total3 - in3, in3 / weights.ratio_depth**2])
+    return np.stack([total2 - in2, in2, total3 - in3, in3])
 
 
 def minimize(
@@ -172,11 +171,9 @@ def build(state: State, obs: Observations, board: Board, weights: Weights, prior
     V, N = obs.has_pixel.shape
     J2 = (lin.J_pixel * w_pixel[..., None, None]).reshape(V, 2 * N, -1)
     r2 = (lin.pixel * w_pixel[..., None]).reshape(V, 2 * N)
-    H_rest2, H_pose2, g2 = _split(J2, r2, weights.Q_pixel, weights.ratio_pixel)
-    H_rest3, H_pose3, g3 = _split(
-        lin.J_depth * w_depth[..., None], lin.depth * w_depth, weights.Q_depth, weights.ratio_depth
-    )
-    parts, g = np.stack([H_rest2, H_pose2, H_rest3, H_pose3]), g2 + g3
+    J3, r3 = lin.J_depth * w_depth[..., None], lin.depth * w_depth
+    parts = np.stack([*_split(J2, weights.Q_pixel), *_split(J3, weights.Q_depth)])
+    g = np.einsum("vng,vn->vg", J2, r2) + np.einsum("vng,vn->vg", J3, r3)
 
     P, F, n_cam = state.n_global, len(state.T_parent_board), state.n_camera
     columns = np.concatenate(
@@ -244,6 +241,21 @@ def covariance(system: System, free: BoolArray) -> Covariance:
     return Covariance(full, cross, boards)
 
 
+def honest_covariance(system: System, cov: Covariance, obs: Observations, weights: Weights, prior: Prior) -> FloatArray:
+    """Covariance (P, P) of the global parameters where the pose parts are noisier than the rest.
+
+    The estimate solves A step = -g with one weight for both parts, while g has the covariance B, in which the pose parts
+    count `ratio`^2 times: Cov = A^-1 B A^-1 (the sandwich; H. White, Econometrica 48(4), 1980). B's priors count once.
+    """
+    scale = np.array([1.0, weights.ratio_pixel**2, 1.0, weights.ratio_depth**2])
+    B = np.einsum("p,pvij->vij", scale, system.parts)
+    out: FloatArray = cov.cameras @ prior.information @ cov.cameras
+    for v, f in enumerate(obs.frame):
+        M = np.concatenate([cov.cameras[:, system.columns[v]], cov.cross[:, f]], axis=1)
+        out = out + M @ B[v] @ M.T
+    return out
+
+
 def view_traces(system: System, cov: Covariance, obs: Observations) -> FloatArray:
     """tr(J Cov J') of each view's four parts, (4, V): how many of its residuals the fit absorbed."""
     traces = np.empty((4, len(obs.camera)))
@@ -262,14 +274,11 @@ def scales(obs: Observations, weights: Weights) -> tuple[FloatArray, FloatArray]
     return w_pixel, w_depth
 
 
-def _split(J: FloatArray, r: FloatArray, Q: FloatArray, ratio: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Information off the pose part (V, G, G), in it, and the gradient (V, G)."""
-    QJ, Qr = np.matmul(Q.transpose(0, 2, 1), J), np.einsum("vnd,vn->vd", Q, r)
+def _split(J: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Information of a view's rows (V, n, G) off the pose part, (V, G, G), and in it."""
+    QJ = np.matmul(Q.transpose(0, 2, 1), J)
     H_pose = np.matmul(QJ.transpose(0, 2, 1), QJ)
-    H_rest = np.matmul(J.transpose(0, 2, 1), J) - H_pose
-    shrink = 1 - 1 / ratio**2
-    gradient = np.einsum("vng,vn->vg", J, r) - shrink * np.einsum("vdg,vd->vg", QJ, Qr)
-    return H_rest, H_pose / ratio**2, gradient
+    return np.matmul(J.transpose(0, 2, 1), J) - H_pose, H_pose
 
 
 def _step(system: System, free: BoolArray, damping: float) -> tuple[FloatArray, FloatArray] | None:

@@ -61,8 +61,7 @@ def update(state: State, obs: Observations, board: Board, weights: Weights, prio
     factor2 = _by_camera(squares[0], redundancy[0], obs.camera, len(weights.sigma_2d_px))
     factor3 = _by_camera(squares[2], redundancy[2], obs.camera, len(weights.k_depth))
     ratio2, ratio3 = (
-        _ratio(weights_ratio, squares[part], redundancy[part], factor[obs.camera])
-        for weights_ratio, part, factor in ((weights.ratio_pixel, 1, factor2), (weights.ratio_depth, 3, factor3))
+        _ratio(squares[part], redundancy[part], factor[obs.camera]) for part, factor in ((1, factor2), (3, factor3))
     )
     sigma_2d_px, k_depth = weights.sigma_2d_px * np.sqrt(factor2), weights.k_depth * np.sqrt(factor3)
     Q_pixel, Q_depth = _pose_parts(state, obs, board)
@@ -86,12 +85,12 @@ def _by_camera(squares: FloatArray, redundancy: FloatArray, camera: FloatArray, 
     return np.maximum(factor, 1e-12)
 
 
-def _ratio(ratio: float, squares: FloatArray, redundancy: FloatArray, factor: FloatArray) -> float:
+def _ratio(squares: FloatArray, redundancy: FloatArray, factor: FloatArray) -> float:
     """The pose part's standard deviation over the rest's, at least 1."""
     left = float(redundancy.sum())
     if left < MIN_REDUNDANCY:
-        return ratio
-    return max(1.0, ratio * float(np.sqrt(np.sum(squares / factor) / left)))
+        return 1.0
+    return max(1.0, float(np.sqrt(np.sum(squares / factor) / left)))
 
 
 def _pose_parts(state: State, obs: Observations, board: Board) -> tuple[FloatArray, FloatArray]:
