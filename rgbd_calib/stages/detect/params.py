@@ -1,0 +1,15 @@
+"""What can be set about detection."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class DetectParams:
+    escalate: bool = True
+    """Search again, harder and slower, where the plain search finds no board though the image looks like one."""
+    min_corners: int = 6
+    """A view with fewer corners is dropped."""
+    min_share: float = 0.8
+    """So is one that loses more of the corners found to the checks of each corner."""

@@ -1,0 +1,217 @@
+r"""Corners of a checkerboard to a few hundredths of a pixel, and which of them to leave out.
+
+First the gradients: cv2.cornerSubPix, in a window as wide as the squares allow. Then a model of the brightness around a
+corner c, fitted by least squares (Levenberg-Marquardt) to the pixels of half a square to each side:
+
+    I(x) = a + g . (x - c) + b erf(n1 . (x - c) / (sqrt(2) s)) erf(n2 . (x - c) / (sqrt(2) s))
+
+two edges through c with normals n1, n2, blurred by s, on a background that may rise by g. It uses all pixels along the
+edges, not only where both gradients are strong, and so has less than half the error of the gradients alone; both leave
+errors that are independent from corner to corner, other than the finders, which move whole boards by up to 0.3 px.
+
+A corner is left out where this model does not explain the pixels (a finger, a highlight), or where it does not lie
+with the others: corners of a plane are a homography of the grid, and lens and bow add a smooth part, here a cubic.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy.special import erf
+
+from rgbd_calib.geometry.so3 import FloatArray
+
+WINDOW_SQUARES = 0.5
+"""Half a window's side over the smaller side of a square."""
+MODEL_SQUARES = 0.45
+"""The same for the model, along each side of the square on its own."""
+WINDOW_MAX_PX = 10.0
+"""Beyond it a lens bends the squares' sides: the errors grow again, and not independently."""
+ROUNDS = 6
+MIN_EXPLAINED = 0.8
+"""Share of the variance around a corner that the model must explain."""
+GROSS_PX = 0.3
+GROSS_SIGMAS = 6.0
+"""A corner this far, in px and in robust sigmas, from where the others have it is left out."""
+
+
+def refine(
+    gray: np.ndarray, grid: FloatArray, corners_px: FloatArray, clear: float | None = None
+) -> tuple[FloatArray, np.ndarray]:
+    """Corners (n, 2), px, refined, and which of them are good (n,).
+
+    Parameters
+    ----------
+    gray : (h, w), uint8.
+    grid : (n, 2), column and row of each corner on the board.
+    corners_px : (n, 2), within a third of a square.
+    clear : where markers stand in the white squares, the clear width beside a square's sides, in squares.
+    """
+    sides = _sides(grid, corners_px)
+    if sides is None:
+        return corners_px, np.zeros(len(corners_px), bool)
+    start = corners_px if clear is not None else _gradients(gray, corners_px, sides)
+    start = np.where(
+        np.linalg.norm(start - corners_px, axis=1, keepdims=True) < _shorter(sides)[:, None] / 2, start, corners_px
+    )
+    fitted, explained = fit_crossings(gray, start, sides, clear)
+    gross, expected = outliers(grid, fitted, explained >= MIN_EXPLAINED)
+    again = np.flatnonzero(gross | (explained < MIN_EXPLAINED))
+    if len(again):  # a wrong start: look where the other corners have it
+        fitted[again], explained[again] = fit_crossings(gray, expected[again], sides[again], clear)
+        gross, _ = outliers(grid, fitted, explained >= MIN_EXPLAINED)
+    return fitted, (explained >= MIN_EXPLAINED) & ~gross
+
+
+def fit_crossings(
+    gray: np.ndarray, start_px: FloatArray, sides: FloatArray, clear: float | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Corners (n, 2), px, of the model in the module's head, and the share of the variance that it explains (n,).
+
+    Parameters
+    ----------
+    start_px : (n, 2).
+    sides : (n, 2, 2), px, the sides of a square at each corner: [:, 0] along the columns, [:, 1] along the rows.
+    """
+    origin = np.round(start_px).astype(int)
+    dx, dy, value, weight = _windows(gray, start_px, origin, sides, clear)
+    p = _first_guess(start_px - origin, sides, dx, dy, value, weight)
+    damping = np.full(len(p), 1e-3)
+    brightness, jacobian = _crossing(p, dx, dy)
+    rest = (value - brightness) * weight
+    for _ in range(ROUNDS):
+        weighted = jacobian * weight[..., None]
+        normal = weighted.transpose(0, 2, 1) @ weighted
+        diagonal = np.einsum("nii->ni", normal)
+        damped = normal + np.einsum("ni,ij->nij", damping[:, None] * diagonal + 1e-6, np.eye(9))
+        trial = p + np.linalg.solve(damped, np.einsum("nmi,nm->ni", weighted, rest)[..., None])[..., 0]
+        trial[:, 8] = np.clip(trial[:, 8], *_LOG_BLUR)
+        brightness, trial_jacobian = _crossing(trial, dx, dy)
+        trial_rest = (value - brightness) * weight
+        better = (trial_rest**2).sum(axis=1) <= (rest**2).sum(axis=1)
+        p = np.where(better[:, None], trial, p)
+        rest = np.where(better[:, None], trial_rest, rest)
+        jacobian = np.where(better[:, None, None], trial_jacobian, jacobian)
+        damping = np.where(better, damping / 10, damping * 10)
+    middle = (value * weight).sum(axis=1) / weight.sum(axis=1)
+    total = (((value - middle[:, None]) * weight) ** 2).sum(axis=1)
+    explained = 1 - (rest**2).sum(axis=1) / np.maximum(total, 1e-9)
+    moved = np.linalg.norm(origin + p[:, :2] - start_px, axis=1)
+    return origin + p[:, :2].astype(float), np.where(moved < _shorter(sides) / 2, explained, 0.0)
+
+
+def outliers(grid: FloatArray, corners_px: FloatArray, usable: np.ndarray) -> tuple[np.ndarray, FloatArray]:
+    """Which corners (n,) do not lie with the others, and where the others have each (n, 2), px.
+
+    The worst is taken out and the rest fitted anew, until all that is left agrees. Its deviation counts by what it was
+    before it drew the fit to itself.
+    """
+    keep = usable.copy()
+    while True:
+        H, _ = cv2.findHomography(grid[keep], corners_px[keep]) if keep.sum() >= 5 else (None, None)
+        if H is None:
+            return usable & False, corners_px
+        plane = cv2.perspectiveTransform(grid[:, None].astype(float), H)[:, 0]
+        basis = _smooth(grid, int(keep.sum()))
+        solve = np.linalg.pinv(basis[keep])
+        expected = np.asarray(plane + basis @ (solve @ (corners_px - plane)[keep]), float)
+        own = np.clip(1 - np.einsum("ij,ji->i", basis[keep], solve), 0.05, 1)
+        off = np.linalg.norm(corners_px - expected, axis=1)[keep] / own
+        limit = max(GROSS_PX, GROSS_SIGMAS * 1.4826 * float(np.median(off)) / 1.18)  # 1.18 sigma: median of a Rayleigh
+        if off.max() <= limit:
+            return usable & ~keep, expected
+        keep[np.flatnonzero(keep)[np.argmax(off)]] = False
+
+
+_LOG_BLUR = np.log([0.3, 4.0])
+
+
+def _smooth(grid: FloatArray, n: int) -> FloatArray:
+    """Columns (n, k) of a polynomial in column and row: cubic, or of the degree that n corners can bear."""
+    degree = next(d for d, terms in ((3, 10), (2, 6), (1, 3), (0, 1)) if 2 * terms <= n or d == 0)
+    c, r = ((grid - grid.mean(axis=0)) / np.maximum(np.ptp(grid, axis=0), 1)).T
+    return np.stack([c**i * r**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1)
+
+
+def _sides(grid: FloatArray, corners_px: FloatArray) -> FloatArray | None:
+    """Sides (n, 2, 2), px, of a square at each corner, by the homography of the grid; None where there is none."""
+    if len(grid) < 4 or np.linalg.matrix_rank(grid - grid.mean(axis=0)) < 2:
+        return None
+    H, _ = cv2.findHomography(grid.astype(float), corners_px, cv2.LMEDS if len(grid) > 8 else 0)
+    if H is None:
+        return None
+    ahead = cv2.perspectiveTransform(np.stack([grid + [0.5, 0], grid + [0, 0.5]], axis=1).astype(float), H)
+    behind = cv2.perspectiveTransform(np.stack([grid - [0.5, 0], grid - [0, 0.5]], axis=1).astype(float), H)
+    return np.asarray(ahead - behind, float)
+
+
+def _shorter(sides: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(sides, axis=2).min(axis=1), float)
+
+
+def _gradients(gray: np.ndarray, corners_px: FloatArray, sides: FloatArray) -> FloatArray:
+    """Corners (n, 2), px, by cv2.cornerSubPix."""
+    reach = np.clip(np.round(WINDOW_SQUARES * _shorter(sides)), 2, WINDOW_MAX_PX).astype(int)
+    stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 1e-2)
+    out = corners_px.copy()
+    for half in np.unique(reach):
+        some = reach == half
+        begin = np.ascontiguousarray(corners_px[some, None], np.float32)
+        out[some] = cv2.cornerSubPix(gray, begin, (int(half), int(half)), (-1, -1), stop)[:, 0]
+    return out
+
+
+def _windows(
+    gray: np.ndarray, start_px: FloatArray, origin: np.ndarray, sides: FloatArray, clear: float | None
+) -> tuple[np.ndarray, ...]:
+    """Pixels around corners: offsets from `origin` (m,), (m,), brightness and weight, 0 or 1, (n, m), float32."""
+    lengths = np.linalg.norm(sides, axis=2)
+    reach = np.maximum(np.minimum(MODEL_SQUARES, WINDOW_MAX_PX / lengths), 1.5 / lengths)
+    half = int(np.ceil((np.abs(sides) * reach[..., None]).sum(axis=1).max())) + 1
+    dy, dx = (g.ravel() for g in np.mgrid[-half : half + 1, -half : half + 1])
+    u, v = origin[:, :1] + dx, origin[:, 1:] + dy
+    inside = (u >= 0) & (u < gray.shape[1]) & (v >= 0) & (v < gray.shape[0])
+    off = np.stack([dx, dy], axis=1)[None] - (start_px - origin)[:, None]
+    s, t = np.abs(np.linalg.solve(sides.transpose(0, 2, 1), off.transpose(0, 2, 1))).transpose(1, 0, 2)
+    weight = inside & (s <= reach[:, :1]) & (t <= reach[:, 1:])
+    if clear is not None:
+        room = np.maximum(clear - 1.0 / lengths, 0.5 / lengths)  # a pixel for the blur of the marker's rim
+        weight &= (s <= room[:, :1]) | (t <= room[:, 1:])
+    used = weight.any(axis=0)
+    value = gray[np.clip(v[:, used], 0, gray.shape[0] - 1), np.clip(u[:, used], 0, gray.shape[1] - 1)]
+    return tuple(a.astype(np.float32) for a in (dx[used], dy[used], value, weight[:, used]))
+
+
+def _first_guess(
+    centre: FloatArray, sides: FloatArray, dx: np.ndarray, dy: np.ndarray, value: np.ndarray, weight: np.ndarray
+) -> np.ndarray:
+    """Parameters (n, 9): centre, directions of the two edges, a, b, g, log of the blur."""
+    n = len(centre)
+    a = (value * weight).sum(axis=1) / np.maximum(weight.sum(axis=1), 1)
+    angles = np.arctan2(sides[..., 1], sides[..., 0])
+    p = np.column_stack([centre, angles, a, np.ones(n), np.zeros((n, 2)), np.full(n, np.log(0.8))]).astype(np.float32)
+    pattern = (_crossing(p, dx, dy)[0] - p[:, 4:5]) * weight
+    p[:, 5] = ((value - a[:, None]) * pattern).sum(axis=1) / np.maximum((pattern**2).sum(axis=1), 1e-9)
+    return p
+
+
+def _crossing(p: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Brightness (n, m) of the model at pixels (m,), and its derivatives by the parameters (n, m, 9)."""
+    u, v, first, second, a, b, gx, gy, log_blur = (p[:, i, None] for i in range(9))
+    x, y, blur = dx - u, dy - v, np.exp(log_blur)
+    c1, s1, c2, s2 = np.cos(first), np.sin(first), np.cos(second), np.sin(second)
+    d1, d2 = (y * c1 - x * s1) / blur, (x * s2 - y * c2) / blur
+    root = np.float32(np.sqrt(0.5))
+    e1, e2 = erf(d1 * root), erf(d2 * root)
+    slope = np.float32(np.sqrt(2 / np.pi))
+    f1, f2 = b * slope * np.exp(-(d1**2) / 2) * e2 / blur, b * slope * np.exp(-(d2**2) / 2) * e1 / blur
+    jacobian = np.empty((*x.shape, 9), np.float32)
+    jacobian[..., 0] = f1 * s1 - f2 * s2 - gx
+    jacobian[..., 1] = f2 * c2 - f1 * c1 - gy
+    jacobian[..., 2] = -f1 * (x * c1 + y * s1)
+    jacobian[..., 3] = f2 * (x * c2 + y * s2)
+    jacobian[..., 4] = 1
+    jacobian[..., 5] = e1 * e2
+    jacobian[..., 6], jacobian[..., 7] = x, y
+    jacobian[..., 8] = -blur * (f1 * d1 + f2 * d2)
+    return a + gx * x + gy * y + b * e1 * e2, jacobian
