@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -67,6 +67,8 @@ class CameraPrior:
     from_views: bool
     """True where the intrinsics are only a start: the views that they rest on are in the bundle."""
     bias: DepthBias | None
+    held: Literal["nothing", "lens", "all"] = "nothing"
+    """What is known exactly: intrinsics and depth bias, or the pose too (its start is the pose)."""
 
 
 @dataclass(frozen=True)
@@ -293,6 +295,8 @@ def _prior(
         own = coefficients[:n_own]
         assumed[own] = prior.bias is None or prior.bias.covariance is None
         information[np.ix_(own, own)] = _bias_information(prior.bias, n_own, params)
+        if prior.held != "nothing":
+            free[at if prior.held == "all" else lens[0] : at + n] = False
     bow = np.arange(state.n_global - N_BOW, state.n_global)
     information[bow, bow] = 1 / params.bow_sd_m**2
     free[bow] = params.free_bow
