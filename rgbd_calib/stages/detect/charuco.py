@@ -23,7 +23,7 @@ def _layout(board: Board) -> cv2.aruco.CharucoBoard:
     if number is None:
         known = ", ".join(name for name in dir(cv2.aruco) if name.startswith("DICT_"))
         raise ConfigError(
-            f"board.dictionary: {board.dictionary!r} seen, one of {known} needed. Correct it in dataset.yaml"
+            f"board: dictionary {board.dictionary!r} seen, one of {known} needed. Correct it where the board is described"
         )
     dictionary = cv2.aruco.getPredefinedDictionary(number)
     return cv2.aruco.CharucoBoard((board.cols + 1, board.rows + 1), board.square_m, board.marker_m, dictionary)

@@ -32,7 +32,9 @@ MIN_EXPLAINED = 0.8
 """Share of the variance around a corner that the model must explain."""
 GROSS_PX = 0.3
 GROSS_SIGMAS = 6.0
-"""A corner this far, in px and in robust sigmas, from where the others have it is left out."""
+GROSS_SQUARES = 0.08
+"""A corner farther than all three, px, robust sigmas and sides of a square, from where the others have it is left out.
+The last is for the lens: in the corners of an image, a cubic leaves 0.04 squares of its distortion."""
 
 
 def refine(
@@ -55,11 +57,11 @@ def refine(
         np.linalg.norm(start - corners_px, axis=1, keepdims=True) < _shorter(sides)[:, None] / 2, start, corners_px
     )
     fitted, explained = fit_crossings(gray, start, sides, clear)
-    gross, expected = outliers(grid, fitted, explained >= MIN_EXPLAINED)
+    gross, expected = outliers(grid, fitted, _shorter(sides), explained >= MIN_EXPLAINED)
     again = np.flatnonzero(gross | (explained < MIN_EXPLAINED))
     if len(again):  # a wrong start: look where the other corners have it
         fitted[again], explained[again] = fit_crossings(gray, expected[again], sides[again], clear)
-        gross, _ = outliers(grid, fitted, explained >= MIN_EXPLAINED)
+        gross, _ = outliers(grid, fitted, _shorter(sides), explained >= MIN_EXPLAINED)
     return fitted, (explained >= MIN_EXPLAINED) & ~gross
 
 
@@ -100,11 +102,13 @@ def fit_crossings(
     return origin + p[:, :2].astype(float), np.where(moved < _shorter(sides) / 2, explained, 0.0)
 
 
-def outliers(grid: FloatArray, corners_px: FloatArray, usable: np.ndarray) -> tuple[np.ndarray, FloatArray]:
+def outliers(
+    grid: FloatArray, corners_px: FloatArray, sides_px: FloatArray, usable: np.ndarray
+) -> tuple[np.ndarray, FloatArray]:
     """Which corners (n,) do not lie with the others, and where the others have each (n, 2), px.
 
     The worst is taken out and the rest fitted anew, until all that is left agrees. Its deviation counts by what it was
-    before it drew the fit to itself.
+    before it drew the fit to itself. `sides_px` (n,) are the shorter sides of the squares, `usable` (n,) the corners to go by.
     """
     keep = usable.copy()
     while True:
@@ -117,10 +121,11 @@ def outliers(grid: FloatArray, corners_px: FloatArray, usable: np.ndarray) -> tu
         expected = np.asarray(plane + basis @ (solve @ (corners_px - plane)[keep]), float)
         own = np.clip(1 - np.einsum("ij,ji->i", basis[keep], solve), 0.05, 1)
         off = np.linalg.norm(corners_px - expected, axis=1)[keep] / own
-        limit = max(GROSS_PX, GROSS_SIGMAS * 1.4826 * float(np.median(off)) / 1.18)  # 1.18 sigma: median of a Rayleigh
-        if off.max() <= limit:
+        sigma = float(np.median(off)) / 1.18  # the median of a Rayleigh distribution
+        ratio = off / np.maximum(max(GROSS_PX, GROSS_SIGMAS * sigma), GROSS_SQUARES * sides_px[keep])
+        if ratio.max() <= 1:
             return usable & ~keep, expected
-        keep[np.flatnonzero(keep)[np.argmax(off)]] = False
+        keep[np.flatnonzero(keep)[np.argmax(ratio)]] = False
 
 
 _LOG_BLUR = np.log([0.3, 4.0])
