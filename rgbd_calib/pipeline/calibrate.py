@@ -67,6 +67,8 @@ class Calibration:
     boards: dict[str, FloatArray]
     """T_world_board (4, 4) by frame."""
     residuals: Residuals
+    joint: details.Joint | None
+    """Covariance of all cameras together; None for `init`."""
     evaluation: Evaluation | None
     """On the recording itself; None where no two cameras have depth on the same corner."""
 
@@ -78,6 +80,7 @@ def calibrate(
     intrinsics: Path | None = None,
     depth_bias: Path | None = None,
     detections: Detections | None = None,
+    intrinsic_detections: Detections | None = None,
     jobs: int | None = None,
     progress: Progress = silent,
 ) -> Calibration:
@@ -86,7 +89,7 @@ def calibrate(
     Parameters
     ----------
     intrinsics, depth_bias : a file, or a recording to make them from.
-    detections : corners found before; None: find them.
+    detections, intrinsic_detections : corners found before, of the recording and of an intrinsic recording; None: find them.
 
     Raises
     ------
@@ -94,7 +97,7 @@ def calibrate(
         See the stages.
     """
     board = board_of(recording)
-    views = prepare_views(recording, config, intrinsics, depth_bias, detections, jobs, progress)
+    views = prepare_views(recording, config, intrinsics, depth_bias, detections, jobs, progress, intrinsic_detections)
     cameras = list(recording.cameras)
     reference = views.association.reference
     lenses, biases = views.lenses.intrinsics, views.biases
@@ -145,6 +148,7 @@ def calibrate(
         data,
         boards,
         residuals,
+        joint,
         evaluation,
     )
 
@@ -157,13 +161,14 @@ def prepare_views(
     detections: Detections | None = None,
     jobs: int | None = None,
     progress: Progress = silent,
+    intrinsic_detections: Detections | None = None,
 ) -> Views:
     """Detect, filter, and decide which corner is which."""
     board = board_of(recording)
     cameras = list(recording.cameras)
     reference = reference_of(config, cameras)
     detections = detections or detect(recording, config.detect, jobs, progress)
-    lenses = resolve_intrinsics(intrinsics, recording, detections, config, progress)
+    lenses = resolve_intrinsics(intrinsics, recording, detections, config, progress, intrinsic_detections)
     biases, bias_origin, samples = resolve_depth_bias(depth_bias, recording, lenses.intrinsics, config, progress)
     filtered = filter_planes(detections.views, lenses.intrinsics, biases, config.plane_filter, config.seed)
     posed = [

@@ -35,7 +35,7 @@ class Joint:
 def joint_of_bundle(solved: BundleResult) -> Joint:
     """Poses, intrinsics and depth biases."""
     return Joint(
-        getattr(solved.covariance, "cameras", solved.covariance),
+        solved.covariance,
         {name: solved.parameters(name) for name in solved.cameras},
     )
 
@@ -65,6 +65,7 @@ def expectation(
         "expected_alignment": {
             "of": "poses alone; intrinsics and depth taken as exact" if only_poses else "poses, intrinsics, depth bias",
             "mean_mm": round(float(1e3 * in_all.mean()), 3),
+            "p95_mm": round(float(1e3 * np.percentile(in_all, 95)), 3),
             "worst_mm": round(float(1e3 * in_all.max()), 3),
             "pairs": {
                 " - ".join(pair): {

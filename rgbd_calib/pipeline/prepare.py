@@ -60,14 +60,22 @@ class IntrinsicsSource:
 
 
 def resolve_intrinsics(
-    source: Path | None, recording: Recording, detections: Detections, config: Config, progress: Progress = silent
+    source: Path | None,
+    recording: Recording,
+    detections: Detections,
+    config: Config,
+    progress: Progress = silent,
+    source_detections: Detections | None = None,
 ) -> IntrinsicsSource:
-    """Intrinsics from a file or an intrinsic recording; else from dataset.yaml; else from the recording's own views."""
+    """Intrinsics from a file or an intrinsic recording; else from dataset.yaml; else from the recording's own views.
+
+    `source_detections` are the corners of an intrinsic recording, where they were found before.
+    """
     cameras = list(recording.cameras)
     if source is not None and source.is_dir():
         other = open_recording(source)
         _need(source, "images", cameras, other.cameras)
-        found = detect(other, config.detect, progress=progress)
+        found = source_detections or detect(other, config.detect, progress=progress)
         results = intrinsics_of_views(other, found, config, cameras)
         given = {name: result.intrinsics for name, result in results.items()}
         return IntrinsicsSource(given, str(source), results, found.views, {})
