@@ -26,7 +26,7 @@ def write_rig(path: Path, rig: Rig, boards: Mapping[str, FloatArray] | None = No
 
 def rig_data(rig: Rig, boards: Mapping[str, FloatArray] | None = None) -> dict[str, Any]:
     """What a rig file holds, as a mapping."""
-    cameras = {name: _camera_entry(camera) for name, camera in rig.cameras.items()}
+    cameras = {name: camera_entry(camera) for name, camera in rig.cameras.items()}
     data: dict[str, Any] = {"format": "rgbd-calib/rig", "version": 1, "reference": rig.reference, "cameras": cameras}
     if boards is not None:
         data["boards"] = dict(boards)
@@ -126,7 +126,8 @@ def read_boards(path: Path) -> dict[str, FloatArray]:
     return {frame: np.array(T) for frame, T in (model.boards or {}).items()}
 
 
-def _camera_entry(camera: RigCamera) -> dict[str, Any]:
+def camera_entry(camera: RigCamera) -> dict[str, Any]:
+    """What a rig file holds of a camera."""
     entry: dict[str, Any] = {
         "intrinsics": IntrinsicsModel.of(camera.intrinsics).model_dump(),
         "T_world_color": camera.T_world_color,
