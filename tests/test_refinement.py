@@ -167,7 +167,7 @@ def test_a_covariance_for_each_point_weighs_it():
 
 
 def test_reference_may_be_any_camera_anywhere():
-    data, K, start, truth = make(np.random.default_rng(15), 3)
+    data, K, start, _ = make(np.random.default_rng(15), 3)
     world = se3.retract(np.eye(4), np.array([0.3, -2.0, 0.5, 4.0, -1.0, 2.0]))
     moved = {c: world @ T for c, T in start.items()}
     a = refine(data, K, start, "C1")

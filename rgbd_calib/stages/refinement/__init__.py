@@ -17,7 +17,8 @@ y_l = R_l p_l + t_l, which for two cameras is the same. `method` chooses the ter
 Where a sigma is not known, poses and sigmas are estimated in turn (section 6 of the paper): by the printed formulas
 (3.04, 3.05), or, the default, by variance components with redundancy (:mod:`.statistics`). Each round is
 Levenberg-Marquardt (A9 - A11, :mod:`.solver`) with analytic Jacobians on SE(3) (:mod:`.kernels`), the points
-eliminated, the 3D term from its moments (:mod:`.moments`).
+eliminated, the 3D term from its moments (:mod:`.moments`). :func:`refine_clouds` takes nearest neighbours in whole
+clouds for the correspondences of the 3D term.
 
 Limits: with `ba` the scale is a gauge; it stays what the start gave, and the covariance is that of poses with the mean
 square distance of the cameras from the reference held. A covariance for each measured point, a robust loss, or sigmas
@@ -29,7 +30,8 @@ References
 Afzal, Aouada, Antunes, Fofi, Mirbach, Ottersten: Bi-objective framework for sensor fusion in RGB-D multi-view systems.
 """
 
+from rgbd_calib.stages.refinement.clouds import CloudParams, CloudResult, refine_clouds
 from rgbd_calib.stages.refinement.estimate import refine
 from rgbd_calib.stages.refinement.params import RefinementParams, RefinementResult, Round
 
-__all__ = ["RefinementParams", "RefinementResult", "Round", "refine"]
+__all__ = ["CloudParams", "CloudResult", "RefinementParams", "RefinementResult", "Round", "refine", "refine_clouds"]
