@@ -1,0 +1,192 @@
+"""A rig and what is known of it, gathered into one page; the clouds before and after are made here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rgbd_calib.errors import RgbdCalibError
+from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.io.files import write_text
+from rgbd_calib.io.recording import Recording, open_recording
+from rgbd_calib.io.residuals import Residuals, read_residuals, residuals_path
+from rgbd_calib.io.rig import read_boards, read_depth_bias_samples, read_rig
+from rgbd_calib.pipeline import fuse
+from rgbd_calib.pipeline.rig_inputs import common_cameras
+from rgbd_calib.report import splat
+from rgbd_calib.report.page import Contents, Picture, render
+from rgbd_calib.types import Board, Rig, RigCamera
+
+VIEWS = {"oblique": "from the side", "top": "from above"}
+EDGE_ON = "the board alone, edge on"
+SIZE = (800, 600)
+"""Width and height of a picture, px."""
+_MARGIN = 0.15  # of the box that several cameras see
+_BEYOND = 1.15  # how much farther than the farthest board a cloud is shown: beyond it nothing was calibrated
+_SLAB_M = 0.08  # half the thickness of what is shown of a board edge on
+
+
+def report_of_file(path: Path, recording: Path | None, depth_bias: Path | None, folder: Path) -> Path:
+    """Report of a rig file, with the residuals beside it and the recording that it names, where they are there.
+
+    Raises
+    ------
+    ConfigError
+        The rig, or a file that was asked for, cannot be read.
+    """
+    rig, missing = read_rig(path), {}
+    if depth_bias is not None:
+        rig.quality["depth_bias_samples"] = read_depth_bias_samples(depth_bias)
+    left, beside = None, residuals_path(path)
+    if beside.exists():
+        left = read_residuals(beside)
+    else:
+        missing["residuals"] = (
+            f"Coverage and residuals are not shown: {beside.name} is not beside {path.name}. `rgbd-calib calibrate` writes "
+            "it with the rig; keep the two together, or calibrate again."
+        )
+    named = Path(str(rig.provenance.get("recording", "")))
+    if recording is not None:
+        opened: Recording | None = open_recording(recording)
+    elif rig.provenance.get("recording") and (named / "dataset.yaml").exists():
+        opened = open_recording(named)
+    else:
+        opened = None
+        missing["clouds"] = (
+            f"The clouds are not shown: the recording {named or ''} is not there. Say where it is: "
+            f"`rgbd-calib report {path} --recording DIR -o {folder}`."
+        )
+    return write_report(folder, path.stem, rig, read_boards(path), left, opened, missing)
+
+
+def write_report(
+    folder: Path,
+    title: str,
+    rig: Rig,
+    boards: Mapping[str, FloatArray],
+    residuals: Residuals | None,
+    recording: Recording | None,
+    missing: Mapping[str, str] | None = None,
+) -> Path:
+    """Write folder/index.html; returns its path."""
+    pictures: tuple[Picture, ...] = ()
+    note, missing = "", dict(missing or {})
+    if recording is not None:
+        try:
+            pictures, note = _pictures(recording, rig, boards)
+        except RgbdCalibError as error:
+            missing["clouds"] = f"The clouds are not shown: {error}."
+    path = folder / "index.html"
+    write_text(path, render(Contents(title, rig, boards, residuals, pictures, note, missing)))
+    return path
+
+
+def before(rig: Rig) -> Rig:
+    """The rig that the calibration started from: first poses, given intrinsics, depth as the sensors report it.
+
+    Rigs without that record are returned with their depth bias removed and nothing else.
+    """
+    start: dict[str, Any] = rig.quality.get("start", {}).get("cameras", {})
+    T_world_start = rig.cameras[rig.reference].T_world_color
+    cameras = {}
+    for name, own in rig.cameras.items():
+        if name in start:
+            entry = start[name]
+            lens = Intrinsics(**{**entry["intrinsics"], "distortion": tuple(entry["intrinsics"]["distortion"])})
+            cameras[name] = RigCamera(lens, T_world_start @ np.array(entry["T_world_color"]), np.zeros((6, 6)))
+        else:
+            cameras[name] = RigCamera(own.intrinsics, own.T_world_color, np.zeros((6, 6)))
+    return Rig(rig.reference, cameras)
+
+
+def _pictures(recording: Recording, rig: Rig, boards: Mapping[str, FloatArray]) -> tuple[tuple[Picture, ...], str]:
+    frame = _frame(recording, rig, boards)
+    params = fuse.FuseParams(max_depth_m=_farthest_m(rig, boards))
+    clouds = tuple(fuse.clouds_of(recording, one, frame, params) for one in (before(rig), rig))
+    pictures = [_part(clouds, rig, view) for view in VIEWS]
+    if frame in boards and "board" in rig.quality:
+        pictures.append(_edge_on(clouds, rig, boards[frame]))
+    how = rig.quality.get("start", {}).get("poses_from")
+    note = f"Frame {frame}. " + (
+        f"Before: poses by the {how}, intrinsics as given, depth as reported. After: the calibrated rig."
+        if how
+        else "Before: depth as reported. After: depth corrected. The rig file does not say from which poses it started."
+    )
+    return tuple(pictures), note
+
+
+def _frame(recording: Recording, rig: Rig, boards: Mapping[str, FloatArray]) -> str:
+    """The frame with the most depth images, the board in it where there is one."""
+    cameras = common_cameras(recording, rig)
+    fullest = fuse.fullest_frame(recording, cameras)
+    count = {f: sum(recording.has_depth(c, f) for c in cameras) for f in recording.frames}
+    with_board = [f for f in recording.frames if f in boards and count[f] == count[fullest]]
+    return max(with_board, key=lambda f: _seen_from_aside(rig, boards[f]), default=fullest)
+
+
+def _seen_from_aside(rig: Rig, T_world_board: FloatArray) -> float:
+    """How many cameras look at the board's front, rather than along it or at its back: sum of their cosines."""
+    return float(sum(max(0.0, own.T_world_color[:3, 2] @ T_world_board[:3, 2]) for own in rig.cameras.values()))
+
+
+def _farthest_m(rig: Rig, boards: Mapping[str, FloatArray]) -> float:
+    depths = [
+        (T[:3, 3] - own.T_world_color[:3, 3]) @ own.T_world_color[:3, 2]
+        for T in boards.values()
+        for own in rig.cameras.values()
+    ]
+    return _BEYOND * float(max(depths)) if depths else np.inf
+
+
+Clouds = tuple[tuple[fuse.Cloud, ...], ...]
+
+
+def _part(clouds: Clouds, rig: Rig, view: str) -> Picture:
+    """The part of the scene that several cameras see."""
+    focus_m = splat.seen_by_several([cloud.points_m for cloud in clouds[1]])
+    low, high = np.percentile(focus_m, [1, 99], axis=0)
+    margin = _MARGIN * (high - low)
+    in_order = sorted(rig.cameras, key=lambda name: name != rig.reference)
+    viewpoint = splat.viewpoint(view, [rig.cameras[name].T_world_color for name in in_order], focus_m)
+    return _draw(
+        clouds, rig, viewpoint, VIEWS[view], lambda p: np.all((p > low - margin) & (p < high + margin), axis=1)
+    )
+
+
+def _edge_on(clouds: Clouds, rig: Rig, T_world_board: FloatArray) -> Picture:
+    """The board of this frame, looked at along its rows of squares: cameras that agree make one line."""
+    board = Board(**rig.quality["board"])
+    size_m = np.array([board.cols - 1, board.rows - 1]) * board.square_m
+    T_board_world = se3.inverse(T_world_board)
+
+    def near(points_m: FloatArray) -> np.ndarray:
+        p = se3.transform(T_board_world, points_m)
+        inside = np.all((p[:, :2] > -board.square_m) & (p[:, :2] < size_m + board.square_m), axis=1)
+        return np.asarray(inside & (np.abs(p[:, 2]) < _SLAB_M))
+
+    x, y, z = T_world_board[:3, :3].T
+    middle_m = se3.transform(T_world_board, np.array([*size_m / 2, 0.0]))
+    viewpoint = splat.Viewpoint(np.stack([x, -z, y]), middle_m, 0.4 * float(size_m[0]))
+    return _draw(clouds, rig, viewpoint, EDGE_ON, near, (SIZE[0], SIZE[1] // 2))
+
+
+def _draw(
+    clouds: Clouds,
+    rig: Rig,
+    viewpoint: splat.Viewpoint,
+    name: str,
+    shown: Callable[[FloatArray], np.ndarray],
+    size: tuple[int, int] = SIZE,
+) -> Picture:
+    color = {camera: splat.camera_color(i) for i, camera in enumerate(rig.cameras)}
+    pictures = []
+    for fused in clouds:
+        points_m = [cloud.points_m[shown(cloud.points_m)] for cloud in fused]
+        colors = [np.full((len(p), 3), color[c.camera], np.uint8) for c, p in zip(fused, points_m, strict=True)]
+        pictures.append(splat.render(np.concatenate(points_m), np.concatenate(colors), viewpoint, *size))
+    return Picture(name, *pictures)

@@ -1,0 +1,117 @@
+"""Whether to trust a calibration: one word, the numbers behind it, and what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+GOOD_MM, FAIR_MM = 3.0, 10.0
+"""Mean expected distance: 3 mm is the noise of one depth pixel at 1.4 m, 10 mm at 2.5 m (sigma = 1.6e-3 z^2): below
+the first the calibration's error hides in the sensor's, beyond the second it shows in every fused cloud."""
+NOISE_FACTOR = 2.0
+"""The same for the median distance measured on the recording, which has the noise of two single depths in it."""
+MIN_COMMON_FRAMES = 3
+
+Level = Literal["good", "fair", "poor", "unknown"]
+_ORDER: tuple[Level, ...] = ("good", "fair", "poor")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    level: Level
+    headline: str
+    reasons: tuple[str, ...]
+    """Sentences, the most important first."""
+    next_steps: tuple[str, ...]
+
+
+def judge(quality: Mapping[str, Any], missing: Sequence[str], depth_noise_mm: float | None = None) -> Verdict:
+    """Judge a rig's quality; `missing` are sentences of what was not filmed, `depth_noise_mm` is of one corner's depth."""
+    expected, measured = quality.get("expected_alignment"), quality.get("alignment_on_recording", {}).get("all", {})
+    levels: list[Level] = []
+    reasons, steps = [], []
+    if expected:
+        levels.append(_level(expected["mean_mm"], 1.0))
+        reasons.append(
+            f"Expected error, from how well the recording determines every parameter: {expected['mean_mm']:.2g} mm in the "
+            f"mean over the working volume ({levels[-1]})."
+        )
+        if expected["of"].startswith("poses alone"):
+            reasons.append(
+                "It counts the poses alone: intrinsics and depth were taken as exact, so the real error is larger."
+            )
+    if "median_mm" in measured:
+        levels.append(_level(measured["median_mm"], NOISE_FACTOR))
+        reasons.append(
+            f"Measured on the recording itself: two cameras put the same board corner {measured['median_mm']:.2g} mm apart "
+            f"in the median, the noise of two single depth readings included ({levels[-1]})."
+            + (f" That noise alone is {depth_noise_mm:.2g} mm in each camera, RMS." if depth_noise_mm else "")
+        )
+    weak, advice = _weaknesses(quality)
+    reasons += weak
+    steps += advice
+    if weak and levels:
+        levels.append("fair")
+    level: Level = max(levels, key=_ORDER.index) if levels else "unknown"
+    if level in ("fair", "poor") and expected:
+        steps += _worst_pair(expected)
+    steps += [_sentence(text) for text in quality.get("not_observable", [])]
+    steps += [_sentence(text) for text in missing]
+    if level == "unknown":
+        steps.insert(0, "Record depth too, and calibrate with it: without it no error in mm can be given.")
+    steps.append(
+        "Check the rig with a few new frames whenever it may have been touched: rgbd-calib verify RIG.yaml NEW_RECORDING."
+        if level == "good"
+        else "Film what is asked for above, add it to the recording, and calibrate again."
+    )
+    return Verdict(level, _headline(level, expected, measured), tuple(reasons), tuple(steps))
+
+
+def _level(mm: float, factor: float) -> Level:
+    return "good" if mm <= GOOD_MM * factor else "fair" if mm <= FAIR_MM * factor else "poor"
+
+
+def _headline(level: Level, expected: Mapping[str, Any] | None, measured: Mapping[str, Any]) -> str:
+    if expected:
+        number = f"two cameras are expected to put the same point {expected['mean_mm']:.2g} mm apart"
+    elif "median_mm" in measured:
+        number = f"two cameras put the same point {measured['median_mm']:.2g} mm apart, sensor noise included"
+    else:
+        number = "the recording has no depth that two cameras share, so no error in mm is known"
+    words = {
+        "good": "Good: use it.",
+        "fair": "Fair: usable, with care.",
+        "poor": "Poor: do not use it yet.",
+        "unknown": "Unknown.",
+    }
+    return f"{words[level]} On average, {number}." if level != "unknown" else f"{words[level]} {number.capitalize()}."
+
+
+def _weaknesses(quality: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+    reasons, steps = [], []
+    if quality.get("status") in ("max_rounds", "round_limit"):
+        reasons.append(f"The solution had not settled: {quality.get('message', '')}.")
+        steps.append("Look at the dropped views and the residuals for a camera or frame that does not fit.")
+    tied: dict[str, int] = {}
+    for pair in quality.get("pairs", []):
+        for name in pair["cameras"]:
+            tied[name] = max(tied.get(name, 0), pair["agreeing"])
+    for name, frames in tied.items():
+        if frames < MIN_COMMON_FRAMES:
+            reasons.append(f"{name} is tied to the rig by {frames} common frame(s) with one other camera.")
+            steps.append(
+                f"Hold the board where {name} and a neighbour both see it, in {MIN_COMMON_FRAMES} or more poses."
+            )
+    return reasons, steps
+
+
+def _worst_pair(expected: Mapping[str, Any]) -> list[str]:
+    pair, own = max(expected["pairs"].items(), key=lambda item: item[1]["mean_mm"])
+    return [
+        f"The weakest pair is {pair} ({own['mean_mm']:.2g} mm): show the board to both, near and far, tilted both ways."
+    ]
+
+
+def _sentence(text: str) -> str:
+    return text if text.endswith(".") else f"{text}."
