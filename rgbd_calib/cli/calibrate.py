@@ -40,6 +40,7 @@ from rgbd_calib.cli.options import (
     type=click.Path(path_type=Path),
     help="Write the matched features too, for `rgbd-calib refine`.",
 )
+@click.option("--report", type=click.Path(path_type=Path), help="Folder for a report, index.html: whether to trust the rig.")
 @config_option
 @jobs_option
 @overwrite_option
@@ -55,6 +56,7 @@ def command(
     reference: str | None,
     seed: int | None,
     correspondences: Path | None,
+    report: Path | None,
     config: Path | None,
     jobs: int | None,
     overwrite: bool,
@@ -76,7 +78,8 @@ def command(
       rgbd-calib calibrate demo/extrinsic --intrinsics intrinsics.yaml --method biobjective -o rig.yaml
     """
     left = output.with_name(f"{output.stem}.residuals.csv")
-    for path in (output, left, *([correspondences] if correspondences else [])):
+    page = report / "index.html" if report else None
+    for path in filter(None, (output, left, correspondences, page)):
         refuse_existing(path, overwrite)
     from rgbd_calib.io.correspondences import write_correspondences
     from rgbd_calib.io.recording import open_recording
@@ -123,6 +126,10 @@ def command(
         x, y, z = camera.T_world_color[:3, 3]
         click.echo(f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m  {sure}")
     say(f"Wrote {output}, and what is left at every corner to {left}")
+    if report is not None:
+        from rgbd_calib.pipeline.report import write_report
+
+        say(f"Wrote {write_report(report, output.stem, result.rig, result.boards, result.residuals, opened)}")
 
 
 def describe(quality: dict) -> list[str]:

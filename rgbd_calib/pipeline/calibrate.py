@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -220,7 +221,7 @@ def provenance_of(config: Config) -> dict[str, Any]:
     return {
         "program": f"rgbd-calib {rgbd_calib.__version__}",
         "versions": {"python": platform.python_version()} | {m.__name__: m.__version__ for m in (np, scipy, cv2)},
-        "command": " ".join(["rgbd-calib", *sys.argv[1:]]),
+        "command": shlex.join(["rgbd-calib", *sys.argv[1:]]),
         "seed": config.seed,
         "config": plain(as_plain(config)),
     }
