@@ -128,8 +128,22 @@ def initial(
     poses = {"C1": T_world_color["C1"]}
     for i, name in enumerate(data.cameras[1:], start=1):
         rays = camera.rays(intrinsics[name].vector, data.pixels_px[data.pixel_camera == i])
-        poses[name] = se3.inverse(resection.dlt(measured, rays))
+        try:
+            T_color_world = resection.dlt(measured, rays)
+        except CalibrationError:  # a few points may happen to lie on one wall: their homography, then
+            T_plane_world = _plane_frame(measured)
+            on_plane = se3.transform(T_plane_world, measured)[:, :2]
+            T_color_world = resection.homography_pose(on_plane, rays)[0][0] @ T_plane_world
+        poses[name] = se3.inverse(T_color_world)
     return poses
+
+
+def _plane_frame(points_m: np.ndarray) -> np.ndarray:
+    """T_plane_world (4, 4) of the plane through points (n, 3): z is its normal."""
+    centre = points_m.mean(axis=0)
+    R = np.linalg.svd(points_m - centre)[2]
+    R[2] *= np.linalg.det(R)
+    return se3.make(R, -R @ centre)
 
 
 def errors(condition: Condition, T: dict[str, np.ndarray]) -> list[tuple[float, float, float]]:
