@@ -43,8 +43,9 @@ def moved(truth: Rig, name: str, kind: str, rng: np.random.Generator) -> Rig:
 
 
 def row(kind: str, name: str, frames: int, results: list[Verification]) -> str:
-    expected = () if kind == "nothing" else (name,)
-    right = sum(r.verdict.moved == expected and r.verdict.holds == (kind == "nothing") for r in results)
+    still = kind.startswith("nothing")
+    expected = () if still else (name,)
+    right = sum(r.verdict.moved == expected and r.verdict.holds == still for r in results)
     alone = sum(not r.verdict.rivals for r in results)
     worst = [1e3 * max(p.error_m for p in r.verdict.pairs) for r in results]
     noise = [1e3 * np.median([p.noise_m for p in r.verdict.pairs]) for r in results]

@@ -22,7 +22,7 @@ from rgbd_calib.cli.options import (
 
 @click.command()
 @recording_argument
-@output_option("rig.yaml")
+@output_option("rig.yaml (with --update: that file, if --overwrite is given)", required=False)
 @click.option(
     "--intrinsics",
     type=click.Path(path_type=Path),
@@ -40,13 +40,22 @@ from rgbd_calib.cli.options import (
     type=click.Path(path_type=Path),
     help="Write the matched features too, for `rgbd-calib refine`.",
 )
-@click.option("--report", type=click.Path(path_type=Path), help="Folder for a report, index.html: whether to trust the rig.")
+@click.option(
+    "--world",
+    metavar="WORLD",
+    help="board:FRAME, floor, or a camera.  [default: the reference camera]",
+)
+@click.option("--update", type=click.Path(path_type=Path), help="A rig file to change, with --only or --world.")
+@click.option("--only", metavar="CAMERA", help="With --update: pose this camera anew, or add it; the others stay.")
+@click.option(
+    "--report", type=click.Path(path_type=Path), help="Folder for a report, index.html: whether to trust the rig."
+)
 @config_option
 @jobs_option
 @overwrite_option
 def command(
     recording: Path,
-    output: Path,
+    output: Path | None,
     intrinsics: Path | None,
     depth_bias: Path | None,
     corners: Path | None,
@@ -56,6 +65,9 @@ def command(
     reference: str | None,
     seed: int | None,
     correspondences: Path | None,
+    world: str | None,
+    update: Path | None,
+    only: str | None,
     report: Path | None,
     config: Path | None,
     jobs: int | None,
@@ -72,11 +84,40 @@ def command(
       init         the first poses, without refinement
 
     \b
+    Worlds (--world; covariances stay those of each camera against the reference, in the new axes):
+      CAMERA       that camera's frame, as --reference: x right, y down, z forward
+      board:FRAME  the board's frame in that frame: x along its columns, y along its rows, z into it
+      floor        the largest plane below the cameras: z up, the origin on it below the reference camera,
+                   x where that camera looks, seen from above
+
+    With --update nothing else is calibrated: --only CAMERA poses one camera against the others of the rig, by views that it
+    shares with them, with the lens and depth bias that the rig has (or --intrinsics, --depth-bias); a camera that the rig
+    lacks is calibrated whole and added. All other entries stay as they are, byte for byte. --world moves the whole rig.
+
+    \b
     Examples:
       rgbd-calib calibrate demo/extrinsic -o rig.yaml
       rgbd-calib calibrate demo/extrinsic --intrinsics demo/intrinsic --depth-bias demo/depth_bias -o rig.yaml
       rgbd-calib calibrate demo/extrinsic --intrinsics intrinsics.yaml --method biobjective -o rig.yaml
+      rgbd-calib calibrate demo/extrinsic --world floor -o rig.yaml
+      rgbd-calib calibrate monday --update rig.yaml --only C3 -o rig2.yaml
+      rgbd-calib calibrate monday --update rig.yaml --world board:000004 -o rig2.yaml
     """
+    output = output or update
+    if output is None:
+        raise click.UsageError("-o FILE is needed: where to write the rig")
+    if update is not None:
+        from rgbd_calib.cli import updating
+
+        if report is not None:
+            raise click.UsageError(
+                "--report goes without --update; afterwards `rgbd-calib report RIG -o DIR` writes it"
+            )
+        refuse_existing(output, overwrite)
+        updating.update(recording, update, output, only, world, intrinsics, depth_bias, corners, config, seed, jobs)
+        return
+    if only is not None:
+        raise click.UsageError("--only CAMERA goes with --update RIG")
     left = output.with_name(f"{output.stem}.residuals.csv")
     page = report / "index.html" if report else None
     for path in filter(None, (output, left, correspondences, page)):
@@ -88,7 +129,13 @@ def command(
     from rgbd_calib.pipeline.calibrate import calibrate
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.detection import detections_from
+    from rgbd_calib.pipeline.world import in_world
 
+    opened = open_recording(recording)
+    if world in opened.cameras:
+        if reference not in (None, world):
+            raise click.UsageError(f"--world {world} and --reference {reference}: one camera only can be the world")
+        reference, world = world, None
     settings = load_config(
         config,
         method=method,
@@ -97,7 +144,6 @@ def command(
         refinement__sigma_2d_px=sigma_2d,
         refinement__sigma_3d_m=sigma_3d,
     )
-    opened = open_recording(recording)
     found = detections_from(opened, corners, settings.detect, jobs, progress)
     result = calibrate(
         opened,
@@ -108,6 +154,8 @@ def command(
         jobs=jobs,
         progress=progress,
     )
+    if world is not None:
+        result = in_world(result, world, opened, settings.seed)
     write_residuals(left, result.residuals)
     write_rig(output, result.rig, result.boards)
     if correspondences:

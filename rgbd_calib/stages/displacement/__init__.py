@@ -1,6 +1,6 @@
 """Where cameras stand by a few frames, against where a rig says: for verifying a rig and for doubting a recording."""
 
-from rgbd_calib.stages.displacement.cameras import CameraPoses, joined_to, locate_cameras
+from rgbd_calib.stages.displacement.cameras import CameraPoses, board_poses, joined_to, locate_cameras
 from rgbd_calib.stages.displacement.verdict import Moved, PairError, Verdict, VerdictParams, judge
 from rgbd_calib.stages.displacement.view_fit import FittedView, Noise, fit_view
 
@@ -12,6 +12,7 @@ __all__ = [
     "PairError",
     "Verdict",
     "VerdictParams",
+    "board_poses",
     "fit_view",
     "joined_to",
     "judge",

@@ -112,6 +112,19 @@ def locate_cameras(views: Sequence[FittedView], T_world_color: Mapping[str, Floa
     )
 
 
+def board_poses(T_world_color: Mapping[str, FloatArray], views: Sequence[FittedView]) -> dict[str, FloatArray]:
+    """T_world_board (4, 4) by frame: the mean of what the views say through these poses, weighted by their information."""
+    out: dict[str, FloatArray] = {}
+    for frame in sorted({v.placed.view.frame for v in views}):
+        mine = [v for v in views if v.placed.view.frame == frame]
+        T = np.stack([T_world_color[v.placed.view.camera] for v in mine])
+        mean = T[:1] @ mine[0].T_color_board
+        y, info = _world(mine, T, mean, np.arange(len(mine)), np.zeros(len(mine), int))
+        step = np.linalg.solve(info.sum(axis=0), np.einsum("vij,vj->i", info, y))
+        out[frame] = se3.retract(mean[0], step)
+    return out
+
+
 def joined_to(anchor: str, seen: Sequence[tuple[str, str]]) -> set[str]:
     """Cameras that a chain of common frames joins to `anchor`; `seen` are (camera, frame)."""
     joined, grown = {anchor}, True

@@ -1,0 +1,78 @@
+"""`rgbd-calib calibrate --update`: one camera of a rig anew, or a rig in another world."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from rgbd_calib.cli.options import progress, say
+from rgbd_calib.errors import ConfigError
+
+
+def update(
+    recording: Path,
+    rig_path: Path,
+    output: Path,
+    only: str | None,
+    world: str | None,
+    intrinsics: Path | None,
+    depth_bias: Path | None,
+    corners: Path | None,
+    config: Path | None,
+    seed: int | None,
+    jobs: int | None,
+) -> None:
+    """Change the rig file `rig_path` by what RECORDING shows, and write it to `output`."""
+    if (only is None) == (world is None):
+        raise ConfigError(
+            "--update: give --only CAMERA, which changes one camera and leaves the others as they are, or --world, which moves "
+            "all of them"
+        )
+    from rgbd_calib.io.recording import open_recording
+    from rgbd_calib.io.rig import read_rig, write_rig
+    from rgbd_calib.io.rig_update import write_update
+    from rgbd_calib.pipeline.calibrate import provenance_of
+    from rgbd_calib.pipeline.config import load_config
+    from rgbd_calib.pipeline.detection import detections_from
+    from rgbd_calib.pipeline.update import update_camera
+    from rgbd_calib.pipeline.world import rig_in_world
+
+    settings = load_config(config, seed=seed)
+    rig, opened = read_rig(rig_path), open_recording(recording)
+    if only is None:
+        assert world is not None
+        found = (
+            detections_from(opened, corners, settings.detect, jobs, progress) if world.startswith("board:") else None
+        )
+        moved, boards = rig_in_world(rig, world, opened, found, settings)
+        write_rig(output, moved, boards)
+        _tell_poses(moved)
+    else:
+        found = detections_from(opened, corners, settings.detect, jobs, progress)
+        result = update_camera(
+            rig, only, opened, settings, found, intrinsics=intrinsics, depth_bias=depth_bias, progress=progress
+        )
+        provenance = {"only": only, **provenance_of(settings), "recording": str(recording)}
+        write_update(rig_path, output, only, result.entry, result.report, provenance)
+        for view, why in result.report["left_out"].items():
+            say(f"{view} left out: {why}")
+        if "moved_mm" in result.report:
+            click.echo(
+                f"{only}: moved by {result.report['moved_mm']:.2f} mm and {result.report['turned_deg']:.3f}°, "
+                f"posed by {result.report['views']} views"
+            )
+        else:
+            click.echo(f"{only}: added by {result.report['views']} views")
+        for pair, numbers in result.report["alignment"].items():
+            if "median_mm" in numbers:
+                click.echo(
+                    f"{pair}: {numbers['median_mm']:.2f} mm apart in the median, noise of single depths included"
+                )
+    say(f"Wrote {output}")
+
+
+def _tell_poses(rig) -> None:  # type: ignore[no-untyped-def]
+    for name, own in rig.cameras.items():
+        x, y, z = own.T_world_color[:3, 3]
+        click.echo(f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m")
