@@ -29,6 +29,7 @@ SIZE = (800, 600)
 _MARGIN = 0.15  # of the box that several cameras see
 _BEYOND = 1.15  # how much farther than the farthest board a cloud is shown: beyond it nothing was calibrated
 _SLAB_M = 0.08  # half the thickness of what is shown of a board edge on
+_BAR_M = 0.02
 
 
 def report_of_file(path: Path, recording: Path | None, depth_bias: Path | None, folder: Path) -> Path:
@@ -108,9 +109,8 @@ def _pictures(recording: Recording, rig: Rig, boards: Mapping[str, FloatArray]) 
     frame = _frame(recording, rig, boards)
     params = fuse.FuseParams(max_depth_m=_farthest_m(rig, boards))
     clouds = tuple(fuse.clouds_of(recording, one, frame, params) for one in (before(rig), rig))
-    pictures = [_part(clouds, rig, view) for view in VIEWS]
-    if frame in boards and "board" in rig.quality:
-        pictures.append(_edge_on(clouds, rig, boards[frame]))
+    pictures = [_edge_on(clouds, rig, boards[frame])] if frame in boards and "board" in rig.quality else []
+    pictures += [_part(clouds, rig, view) for view in VIEWS]
     how = rig.quality.get("start", {}).get("poses_from")
     note = f"Frame {frame}. " + (
         f"Before: poses by the {how}, intrinsics as given, depth as reported. After: the calibrated rig."
@@ -172,7 +172,9 @@ def _edge_on(clouds: Clouds, rig: Rig, T_world_board: FloatArray) -> Picture:
     x, y, z = T_world_board[:3, :3].T
     middle_m = se3.transform(T_world_board, np.array([*size_m / 2, 0.0]))
     viewpoint = splat.Viewpoint(np.stack([x, -z, y]), middle_m, 0.4 * float(size_m[0]))
-    return _draw(clouds, rig, viewpoint, EDGE_ON, near, (SIZE[0], SIZE[1] // 2))
+    drawn = _draw(clouds, rig, viewpoint, EDGE_ON, near, (SIZE[0], SIZE[1] // 2))
+    first, then = (splat.with_scale(p, viewpoint, _BAR_M) for p in (drawn.before, drawn.after))
+    return Picture(EDGE_ON, first, then)
 
 
 def _draw(

@@ -116,6 +116,21 @@ def render(
     return np.asarray(np.rint(small), np.uint8)
 
 
+def with_scale(picture: np.ndarray, view: Viewpoint, bar_m: float) -> np.ndarray:
+    """The picture with a bar of `bar_m` metres, as long as such a thing is at the viewpoint's centre."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    image = Image.fromarray(picture)
+    draw = ImageDraw.Draw(image)
+    height, width = picture.shape[:2]
+    length = bar_m * 0.5 * min(width, height) / (1.15 * view.radius_m)
+    size = max(12, width // 45)
+    y = height - size
+    draw.rectangle((16, y - 4, 16 + length, y), fill=(0, 0, 0))
+    draw.text((16, y - 8), f"{1e3 * bar_m:g} mm", (0, 0, 0), ImageFont.load_default(size), anchor="lb")
+    return np.array(image)
+
+
 def with_legend(picture: np.ndarray, labels: Mapping[str, tuple[int, int, int]]) -> np.ndarray:
     """The picture with one line of text for each label, in its colour, in the top left corner."""
     from PIL import Image, ImageDraw, ImageFont
