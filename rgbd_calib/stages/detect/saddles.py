@@ -34,6 +34,8 @@ def board_corners(gray: np.ndarray, most: int) -> FloatArray:
     strength = xy * xy - xx * yy
     peak = (strength == cv2.dilate(strength, np.ones((5, 5), np.uint8))) & (strength > 1)
     y, x = np.nonzero(peak)
+    if len(x) == 0:
+        return np.empty((0, 2))
     first = np.argsort(-strength[y, x], kind="stable")[:most]
     y, x = y[first], x[first]
     crossed = _crossed_twice(f, x, y)
