@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from small_recording import draw_recording
-from virtual_rig import VirtualRig, build_redist, check_whole, feed, finish, wait_for_frame_sets
+from virtual_rig import VirtualRig, build_redist, check_whole, feed, finish
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.recording import open_recording
@@ -83,7 +83,7 @@ def test_the_page_shows_pictures_corners_coverage_and_what_is_missing(rig, brows
         )
     )
     wait.until(lambda b: "needed" in b.find_element("id", "missing").text)
-    wait_for_frame_sets(out, 2)
+    rig.wait_for_frame_sets(out, 2)
     wait.until(lambda b: int(b.find_element("id", "count").text.split()[0]) >= 2)
     assert "C1-C2" in browser.find_element("id", "common").text
     browser.save_screenshot(str(tmp_path / "preview.png"))

@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -128,7 +129,7 @@ class VirtualRig:
             "VXTION_CONTROL": str(self.control),
             "OPENBLAS_NUM_THREADS": "1",
             "PYTHONUNBUFFERED": "1",
-            "COVERAGE_PROCESS_START": "",
+            "PYTHONFAULTHANDLER": "1",
             **self.environment,
         }
         process = subprocess.Popen(
@@ -143,6 +144,26 @@ class VirtualRig:
         )
         self.processes.append(process)
         return process
+
+    def wait_for_frame_sets(self, folder: Path, n: int) -> None:
+        """Wait until the capture has finished `n` frame sets."""
+        table = folder / "frame_sets.csv"
+        self._wait(lambda: table.exists() and len(table.read_text().splitlines()) > n, f"{n} frame sets in {table}")
+
+    def wait_for_text(self, path: Path, text: str) -> None:
+        """Wait until a file holds a text."""
+        self._wait(lambda: path.exists() and text in path.read_text(), f"{text!r} in {path}")
+
+    def _wait(self, condition: Callable[[], bool], what: str) -> None:
+        deadline = time.monotonic() + TIMEOUT_S
+        process = self.processes[-1]
+        while not condition():
+            ended = process.poll() is not None
+            if ended or time.monotonic() > deadline:
+                os.killpg(process.pid, signal.SIGABRT) if not ended else None  # faulthandler says where it stands
+                said = "\n".join(process.communicate())
+                pytest.fail(f"no {what}; the program {'ended' if ended else 'went on'}:\n{said}")
+            time.sleep(0.05)
 
     def run(self, *args: object, **options: object) -> Ended:
         """Run it to its end."""
@@ -166,27 +187,6 @@ def stamps(folder: Path, camera: str, kind: str) -> dict[str, int]:
     """{frame: the driver's true number of the exposure} of images that carry it (VXTION_STAMP)."""
     files = sorted((folder / camera / kind).glob("*.png"))
     return {p.stem: int(np.frombuffer(read_raw(p)[0].tobytes()[:8], "<u8")[0]) for p in files}
-
-
-def wait_for_frame_sets(folder: Path, n: int, timeout_s: float = TIMEOUT_S) -> None:
-    """Wait until a running capture has finished `n` frame sets."""
-    deadline = time.monotonic() + timeout_s
-    table = folder / "frame_sets.csv"
-    while time.monotonic() < deadline:
-        if table.exists() and len(table.read_text().splitlines()) > n:
-            return
-        time.sleep(0.05)
-    pytest.fail(f"no {n} frame sets in {table} after {timeout_s} s")
-
-
-def wait_for_text(path: Path, text: str, timeout_s: float = TIMEOUT_S) -> None:
-    """Wait until a file holds a text."""
-    deadline = time.monotonic() + timeout_s
-    while time.monotonic() < deadline:
-        if path.exists() and text in path.read_text():
-            return
-        time.sleep(0.05)
-    pytest.fail(f"{path}: no {text!r} after {timeout_s} s:\n{path.read_text() if path.exists() else ''}")
 
 
 def last_session(folder: Path) -> dict:

@@ -187,7 +187,7 @@ def _summarize(out: Path, result: object) -> None:
     assert isinstance(result, CaptureResult)
     tally = result.tally
     ended = "ended by Ctrl-C, " if result.status == "interrupted" else ""
-    spread = f", cameras within {max(tally.spreads_ms):.1f} ms" if len(tally.spreads_ms) and result.lost else ""
+    spread = f", cameras within {max(tally.spreads_ms):.1f} ms" if tally.spreads_ms and len(result.lost) > 1 else ""
     say(f"{out}: {ended}{result.frame_sets} frame sets{spread}")
     for camera, n in tally.absent.items():
         say(f"Warning: {camera}: missing in {n} of them; {out / 'capture.yaml'} says why")

@@ -146,10 +146,8 @@ class _Session:
             self._log.end(status, message, self._counts(rig))
         if failure is not None:
             raise failure
-        if self._recording.finished == 0:
-            raise CalibrationError(
-                f"{params.out}: {message or 'ended'} before the first frame set; nothing was recorded"
-            )
+        if self._recording.finished == 0 and status != "complete":
+            raise CalibrationError(f"{params.out}: {message} before the first frame set; nothing was recorded")
         coverage = self._guide.state().coverage
         lost = {camera: {str(kind): n for kind, n in counts.lost.items()} for camera, counts in rig.counts().items()}
         missing = coverage.missing if coverage else ()
