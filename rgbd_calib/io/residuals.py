@@ -109,8 +109,7 @@ def read_residuals(path: Path) -> Residuals:
         table.append((row["camera"], row["frame"], row["feature"]))
         numbers.append([number(path, line, key, row[key] or "nan") for key in COLUMNS[3:9]])
         used.append(flags[row["used"]])
-    names, values = np.array(table, dtype=str).reshape(-1, 3), np.array(numbers, float).reshape(-1, 6)
+    camera, frame, feature = np.array(table, dtype=str).reshape(-1, 3).T
+    values = np.array(numbers, float).reshape(-1, 6)
     pixel, depth = np.array(used, bool).reshape(-1, 2).T
-    return Residuals(
-        *names.T, values[:, :2], values[:, 2:4], values[:, 4], values[:, 5], used_pixel=pixel, used_depth=depth
-    )
+    return Residuals(camera, frame, feature, values[:, :2], values[:, 2:4], values[:, 4], values[:, 5], pixel, depth)

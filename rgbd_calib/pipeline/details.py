@@ -110,8 +110,11 @@ def residuals_of_bundle(solved: BundleResult, board: Board) -> Residuals:
         row[: len(placed.view.ids)] = placed.view.depth_m
     left_px, left_depth = model.residuals(solved.state, used.keep(there, np.isfinite(raw_m)), board)
     names = [(p.view.camera, p.view.frame, str(k)) for p in solved.views for k in p.front_corner(board)]
+    camera, frame, feature = np.array(names, dtype=str).T
     return Residuals(
-        *np.array(names, dtype=str).T,
+        camera,
+        frame,
+        feature,
         pixels_px=used.pixels_px[there],
         residual_px=-left_px[there],
         depth_m=raw_m[there],
@@ -154,8 +157,11 @@ def _of_views(views: Sequence[PlacedView], board: Board, left: Any) -> Residuals
     names = [(p.view.camera, p.view.frame, str(k)) for p in views for k in p.front_corner(board)]
     pairs = [left(name) for name in names]
     px, z = np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])
+    camera, frame, feature = np.array(names, dtype=str).T
     return Residuals(
-        *np.array(names, dtype=str).T,
+        camera,
+        frame,
+        feature,
         pixels_px=np.concatenate([p.view.corners_px for p in views]),
         residual_px=px,
         depth_m=np.concatenate([p.view.depth_m for p in views]),

@@ -122,7 +122,7 @@ class View:
 class Picture:
     """What an ideal camera sees: no blur, no noise."""
 
-    light: FloatArray
+    light: np.ndarray
     """(h, w, 3) linear RGB, float32."""
     z_m: FloatArray
     """(h, w) depth along the optical axis at the middles of the pixels, inf where nothing is."""
@@ -178,7 +178,7 @@ def render_with_board(
 
 def develop(picture: Picture, noise: ColorNoise, rng: np.random.Generator) -> np.ndarray:
     """The image (h, w, 3), uint8, B G R, that the colour camera gives."""
-    light = np.asarray(picture.light, np.float32)
+    light: np.ndarray = np.asarray(picture.light, np.float32)
     h, w = light.shape[:2]
     if noise.blur_px > 0:
         light = cv2.GaussianBlur(light, (0, 0), noise.blur_px, borderType=cv2.BORDER_REPLICATE)

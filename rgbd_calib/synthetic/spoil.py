@@ -167,7 +167,8 @@ def _clutter(images: _Images, board: Board, rng: np.random.Generator) -> tuple[n
 
 def _turned(images: _Images, board: Board, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     px = images.grid_px.reshape(-1, 2)
-    return _relocate(images, cv2.findHomography(px, px[::-1])[0])[0], images.depth_raw
+    half_turn = np.asarray(cv2.findHomography(px, px[::-1])[0], float)
+    return _relocate(images, half_turn)[0], images.depth_raw
 
 
 def _hand(images: _Images, board: Board, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -44,9 +44,9 @@ class RosBag:
             self._topics = dict(topics) if topics else _find_topics(path, types)
             self._check(types)
             self._streams = {t: (camera, kind) for camera, kind, t in self._listed()}
-            self.intrinsics = self._read_intrinsics(reader)
+            self.intrinsics: Mapping[str, Intrinsics] = self._read_intrinsics(reader)
         registered = all("regist" in d or "align" in d for _, d in self._topics.values() if d)
-        self.remarks = () if registered else (_unregistered_remark(self.name),)
+        self.remarks: tuple[str, ...] = () if registered else (_unregistered_remark(self.name),)
 
     def stamps(self) -> Mapping[str, Stamps]:
         if not self._stamps:

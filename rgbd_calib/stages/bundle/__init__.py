@@ -331,7 +331,7 @@ def _intrinsics_sd(prior: CameraPrior, params: BundleParams) -> FloatArray:
 
 def _bias_information(bias: DepthBias | None, n: int, params: BundleParams) -> FloatArray:
     if bias is not None and bias.covariance is not None:
-        return np.linalg.pinv(bias.covariance, hermitian=True)
+        return np.asarray(np.linalg.pinv(bias.covariance, hermitian=True), float)
     sd = np.full(n, 1e-3)
     sd[: min(n, 2)] = [params.bias_offset_sd_m, params.bias_scale_sd][: min(n, 2)]
     return np.diag(1 / sd**2)
