@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -126,7 +126,7 @@ class Caster:
         import open3d as o3d
 
         self.scene = scene
-        self._tensor: Any = o3d.core.Tensor
+        self._tensor = cast(Any, o3d.core.Tensor)
         self._open3d: Any = o3d.t.geometry.RaycastingScene(nthreads=1)
         c, u, v = scene.corners_m, scene.edges_u_m, scene.edges_v_m
         vertices = np.stack([c, c + u, c + u + v, c + v], axis=1).reshape(-1, 3)
