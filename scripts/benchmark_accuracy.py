@@ -16,6 +16,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -80,7 +81,8 @@ def measure(work: Path, layout: str, seed: int) -> dict:
     """One row: alignment in mm of the three, and the bundle's NEES, on one simulated recording."""
     folder = work / f"{layout.replace(' ', '_')}_{seed}"
     if not folder.exists():
-        subprocess.run(["rgbd-calib", "simulate", str(folder), "--seed", str(seed), *LAYOUTS[layout]], check=True)
+        command = [sys.executable, "-m", "rgbd_calib", "simulate", str(folder), "--seed", str(seed)]
+        subprocess.run([*command, *LAYOUTS[layout]], check=True)
     extrinsic, intrinsic = open_recording(folder / "extrinsic"), open_recording(folder / "intrinsic")
     truth, boards = read_rig(folder / "truth.yaml"), read_boards(folder / "truth.yaml")
     board = board_of(extrinsic)

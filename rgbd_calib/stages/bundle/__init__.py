@@ -22,6 +22,10 @@ from rgbd_calib.stages.bundle.solve import Prior, Weights
 from rgbd_calib.types import Board, DepthBias, PlacedView
 
 
+N_WEAK_BIAS = 3
+"""Coefficients of a depth bias that has no recording: offset, scale, curvature."""
+
+
 @dataclass(frozen=True)
 class BundleParams:
     sigma_2d_px: float = 0.2
@@ -46,6 +50,8 @@ class BundleParams:
     """Prior of the depth's offset without a bias recording."""
     bias_scale_sd: float = 0.010
     """Prior of the depth's scale without a bias recording: consumer sensors are good to 1 %."""
+    bias_curvature_sd_per_m: float = 0.005
+    """Prior of the depth bias's quadratic term without a bias recording."""
     huber_sigmas: float = 3.0
     max_view_ratio: float = 4.0
     max_depth_sigmas: float = 5.0
@@ -127,7 +133,7 @@ class BundleResult:
         i, prior = self.cameras.index(camera), self.priors[camera].bias
         if not self.has_bias[i]:
             return prior
-        n = len(prior.coefficients) if prior is not None else 2
+        n = len(prior.coefficients) if prior is not None else N_WEAK_BIAS
         at = self.parameters(camera).start + 6 + N_INTRINSICS
         covariance = self.covariance[at : at + n, at : at + n]
         low, high = (float(z) for z in self.bias_range_m[i])
@@ -165,7 +171,7 @@ def bundle(
     params = params or BundleParams()
     cameras = tuple(priors)
     depth_range = _depth_ranges(views, priors)
-    n_bias = max([2, *(len(p.bias.coefficients) for p in priors.values() if p.bias is not None)])
+    n_bias = max([N_WEAK_BIAS, *(len(p.bias.coefficients) for p in priors.values() if p.bias is not None)])
     all_obs, frames = model.observe(views, board, cameras, depth_range, n_bias)
     state = _start(views, frames, all_obs, priors, T_world_color, n_bias)
     prior = _prior(state, all_obs, priors, reference, params)
@@ -290,7 +296,7 @@ def _prior(
         assumed[lens] = prior.intrinsics_sd is None or prior.from_views
         free[lens[8]] &= params.free_k3 or prior.intrinsics.distortion[4] != 0
         coefficients = np.arange(at + 6 + N_INTRINSICS, at + n)
-        n_own = len(prior.bias.coefficients) if prior.bias is not None else 2
+        n_own = len(prior.bias.coefficients) if prior.bias is not None else N_WEAK_BIAS
         free[coefficients] = (np.arange(len(coefficients)) < n_own) & np.any(obs.has_depth[obs.camera == i])
         own = coefficients[:n_own]
         assumed[own] = prior.bias is None or prior.bias.covariance is None
@@ -332,9 +338,8 @@ def _intrinsics_sd(prior: CameraPrior, params: BundleParams) -> FloatArray:
 def _bias_information(bias: DepthBias | None, n: int, params: BundleParams) -> FloatArray:
     if bias is not None and bias.covariance is not None:
         return np.asarray(np.linalg.pinv(bias.covariance, hermitian=True), float)
-    sd = np.full(n, 1e-3)
-    sd[: min(n, 2)] = [params.bias_offset_sd_m, params.bias_scale_sd][: min(n, 2)]
-    return np.diag(1 / sd**2)
+    sd = [params.bias_offset_sd_m, params.bias_scale_sd] + [params.bias_curvature_sd_per_m] * max(n - 2, 0)
+    return np.diag(1 / np.square(sd[:n]))
 
 
 def _check_left(

@@ -56,7 +56,8 @@ def examine(cameras: Sequence[str], state: State, cov: Covariance, prior: Prior)
     correlation = cov.cameras[np.ix_(free, free)] / np.outer(sd[free], sd[free])
     for a, b in np.argwhere(np.triu(np.abs(correlation), 1) > MAX_CORRELATION):
         i, j = free[a], free[b]
-        if i // n == j // n and i // n < len(cameras) and min(i % n, j % n) >= INTRINSICS.start:
+        of_a_lens = INTRINSICS.start <= i % n < INTRINSICS.stop  # a polynomial's coefficients go together by nature
+        if i // n == j // n and i // n < len(cameras) and of_a_lens and j % n >= INTRINSICS.start:
             (name_a, kind), (name_b, _) = _name(i % n), _name(j % n)
             sentences.append(
                 f"{cameras[i // n]}'s {name_a} and {name_b} cannot be told apart (correlation {correlation[a, b]:+.3f}): "
