@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 from pathlib import Path
 
 import numpy as np
@@ -70,12 +71,33 @@ def test_a_full_disk_at_any_write_leaves_the_rest_whole(tmp_path, monkeypatch, c
         return real(path, data)
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(
-        CalibrationError, match="the disk is full; 1 frame set of this session kept"
-    ):
+    with pytest.raises(CalibrationError, match="the disk is full; 1 frame set of this session kept"):
         recording.add(recording.reserve(), images("C1", "C2"))
     opened = open_recording(tmp_path / "r")
     assert opened.frames == ("000000",) and not list((tmp_path / "r").glob("**/.*.png"))
+
+
+@pytest.mark.parametrize("call", range(5))
+def test_a_full_disk_at_any_line_leaves_the_rest_whole(tmp_path, monkeypatch, call):
+    recording = GrowingRecording(tmp_path / "r")
+    recording.add(recording.reserve(), images("C1"))
+    real, calls = os.write, []
+
+    def full(handle: int, data: bytes) -> int:
+        calls.append(data)
+        if len(calls) == call + 1:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return real(handle, data)
+
+    monkeypatch.setattr("os.write", full)
+    with pytest.raises(CalibrationError, match="the disk is full"):
+        recording.add(recording.reserve(), images("C1", "C2"))
+    monkeypatch.undo()
+    opened = open_recording(tmp_path / "r")
+    assert list(opened.cameras) == ["C1"] and opened.frames == ("000000",)
+    assert list(opened.timestamps_us("C1")) == list(opened.distances_m("C1")) == ["000000"]
+    recording.add(recording.reserve(), images("C1", "C2"))
+    assert list(open_recording(tmp_path / "r").timestamps_us("C2")) == ["000002"]
 
 
 def test_lines_are_whole_or_absent(tmp_path, monkeypatch):

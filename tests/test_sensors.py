@@ -15,7 +15,7 @@ from rgbd_calib.sensors.frame_sets import tightest_frame_set
 from rgbd_calib.sensors.frames import PERIOD_S, RgbdFrame, SensorFrame
 from rgbd_calib.sensors.identity import Identity, assign_cameras, parse_devices
 from rgbd_calib.sensors.pairing import ColorDepthPairer
-from rgbd_calib.sensors.usb import UsbPlace, crowded_controllers, usb_place
+from rgbd_calib.sensors.usb import UsbPlace, crowded_controllers, forbidden_node, usb_place
 
 PERIOD_US = 33_333
 BLANK = np.zeros((1, 1), np.uint16)
@@ -165,6 +165,15 @@ def test_wanted_cameras_by_serial_port_or_uri():
 def test_device_options_that_are_wrong(texts):
     with pytest.raises(ConfigError, match="--device"):
         parse_devices(texts)
+
+
+def test_a_device_node_without_permission(tmp_path, monkeypatch):
+    node = tmp_path / "001" / "006"
+    node.parent.mkdir()
+    node.write_text("")
+    assert forbidden_node("1d27/0601@1/6", tmp_path) is None and forbidden_node("virtual://0", tmp_path) is None
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    assert forbidden_node("1d27/0601@1/6", tmp_path) == node
 
 
 def test_usb_places_come_from_sysfs(tmp_path):

@@ -10,8 +10,9 @@ from __future__ import annotations
 import errno
 import os
 import threading
-from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -111,12 +112,13 @@ class GrowingRecording:
                 renamed.append(path)
             with self._lock:
                 self._list_new_cameras(images)
-                self._append_lines(frame, images, spread_us)
+                append_lines(self._lines(frame, images, spread_us))
                 self.finished += 1
         except OSError as error:
             for path in renamed:
                 path.unlink(missing_ok=True)
             remove_leftovers(self.folder, frame)
+            self._unlist_empty_cameras()
             raise CalibrationError(self._explain(error)) from error
 
     def _write_hidden(self, frame: str, images: Mapping[str, CameraImages]) -> list[tuple[Path, Path]]:
@@ -127,7 +129,10 @@ class GrowingRecording:
                 folder = self.folder / camera / kind
                 if image is not None:
                     jobs.append((folder / f".{frame}.png", folder / f"{frame}.png", image))
-        list(self._encoders.map(lambda job: _write_png(job[0], job[2]), jobs))
+        writing = [self._encoders.submit(_write_png, hidden, image) for hidden, _, image in jobs]
+        wait(writing)  # all of them, or one would still write after the others were removed
+        for done in writing:
+            done.result()
         return [(hidden, path) for hidden, path, _ in jobs]
 
     def _list_new_cameras(self, images: Mapping[str, CameraImages]) -> None:
@@ -138,26 +143,40 @@ class GrowingRecording:
             self._cameras[camera] = CameraInfo(
                 width, height, self._depth_scale, self._serials.get(camera), self._intrinsics.get(camera)
             )
-        extra = {} if self._registered else {"depth_registered": False}
-        try:
-            write_dataset(self.folder, dict(sorted(self._cameras.items())), self._board, extra)
-        except BaseException:
-            for camera in new:
-                del self._cameras[camera]
-            raise
+        self._write_dataset()
 
-    def _append_lines(self, frame: str, images: Mapping[str, CameraImages], spread_us: int | None) -> None:
+    def _unlist_empty_cameras(self) -> None:
+        """Take cameras without images out of dataset.yaml again: their first frame set could not be written."""
+        with self._lock:
+            there = {c: info for c, info in self._cameras.items() if any((self.folder / c / "color").glob("[!.]*"))}
+            if there == self._cameras:
+                return
+            self._cameras = there
+            if there:
+                with suppress(OSError):
+                    self._write_dataset()
+            else:
+                (self.folder / "dataset.yaml").unlink(missing_ok=True)
+
+    def _write_dataset(self) -> None:
+        extra = {} if self._registered else {"depth_registered": False}
+        write_dataset(self.folder, dict(sorted(self._cameras.items())), self._board, extra)
+
+    def _lines(
+        self, frame: str, images: Mapping[str, CameraImages], spread_us: int | None
+    ) -> list[tuple[Path, str, str]]:
+        """(file, header, line) of everything that is noted of a frame set; the one that finishes it is the last."""
+        lines = []
         for camera, shot in images.items():
+            folder = self.folder / camera
             if shot.color_us is not None or shot.depth_us is not None:
                 times = f"{frame},{_text(shot.color_us)},{_text(shot.depth_us)}"
-                append_line(self.folder / camera / "timestamps.csv", TIMESTAMPS_HEADER, times)
+                lines.append((folder / "timestamps.csv", TIMESTAMPS_HEADER, times))
             if shot.distance_m is not None:
-                append_line(
-                    self.folder / camera / "distances.csv", DISTANCES_HEADER, f"{frame},{float(shot.distance_m)!r}"
-                )
+                lines.append((folder / "distances.csv", DISTANCES_HEADER, f"{frame},{float(shot.distance_m)!r}"))
         first_us = min((shot.color_us for shot in images.values() if shot.color_us is not None), default=None)
         line = f"{frame},{_text(first_us)},{_text(spread_us)},{' '.join(images)}"
-        append_line(self.folder / "frame_sets.csv", FRAME_SETS_HEADER, line)
+        return [*lines, (self.folder / "frame_sets.csv", FRAME_SETS_HEADER, line)]
 
     def _continue(self, board: Board | None) -> None:
         remove_leftovers(self.folder)
@@ -179,6 +198,19 @@ class GrowingRecording:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             return f"{self.folder}: the disk is full; {kept}. Free space, then go on with --append"
         return f"{self.folder}: writing failed ({error.strerror or error}); {kept}. Mend that, then go on with --append"
+
+
+def append_lines(lines: Sequence[tuple[Path, str, str]]) -> None:
+    """Append a line to each (file, header, line), or to none of them."""
+    sizes = {path: path.stat().st_size if path.exists() else 0 for path, _, _ in lines}
+    try:
+        for path, header, line in lines:
+            append_line(path, header, line)
+    except OSError:
+        for path, size in sizes.items():
+            if path.exists():
+                os.truncate(path, min(size, path.stat().st_size))
+        raise
 
 
 def append_line(path: Path, header: str, line: str) -> None:

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.sensors.identity import Identity, assign_cameras
 from rgbd_calib.sensors.openni2 import Runtime
-from rgbd_calib.sensors.usb import crowded_controllers, usb_place
+from rgbd_calib.sensors.usb import crowded_controllers, forbidden_node, usb_place
 
 ADVICE_NO_DEVICE = (
     "no camera is attached, or none may be opened. Look at `lsusb` for 1d27:0601 and the like: not there: cable, power, a "
     "USB 2.0 port; there: the udev rules of libopenni2-0 need a replug, and USB 3 ports refuse Xtions with old firmware"
 )
+
+_PERMISSION = "this user must be able to write to it. Install libopenni2-0 (it brings udev rules for these cameras), then replug it"
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,9 @@ def _ask(runtime: Runtime, uri: str) -> FoundDevice:
     try:
         device = runtime.open(uri)
     except CalibrationError as error:
-        return FoundDevice(Identity(uri, None, port), problem=str(error))
+        node = forbidden_node(uri)
+        problem = f"{uri}: no permission for {node}; {_PERMISSION}" if node else str(error)
+        return FoundDevice(Identity(uri, None, port), problem=problem)
     try:
         return FoundDevice(
             Identity(uri, device.serial, device.usb_path),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections import defaultdict
 from collections.abc import Mapping
@@ -35,6 +36,15 @@ def usb_place(uri: str, sysfs: Path = SYSFS) -> UsbPlace | None:
         if seen == (str(int(address[1])), str(int(address[2]))):
             return UsbPlace(folder.name, (sysfs / f"usb{seen[0]}").resolve().parent.name)
     return None
+
+
+def forbidden_node(uri: str, root: Path = Path("/dev/bus/usb")) -> Path | None:
+    """The device node of a uri such as 1d27/0601@1/6 where this user may not write to it."""
+    address = _ADDRESS.search(uri)
+    if address is None:
+        return None
+    node = root / f"{int(address[1]):03d}" / f"{int(address[2]):03d}"
+    return node if node.exists() and not os.access(node, os.W_OK) else None
 
 
 def crowded_controllers(places: Mapping[str, UsbPlace | None]) -> dict[str, list[str]]:
