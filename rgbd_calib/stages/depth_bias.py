@@ -5,18 +5,19 @@
 fitted by weighted least squares. Where each depth has a standard error, the weights are 1 / (error^2 + tau^2), with tau
 for what the true distances are off by (R. Paule, J. Mandel, J. Res. NBS 87(5), 1982: the tau at which the weighted
 squares are what they should be), and the order is the one with the lowest Akaike criterion. Where it has none, the
-noise is sigma ~ z^p (p = 2 for a triangulating sensor, 0 where tape and wall dominate), and the small-sample criterion
-chooses order and p together; the scatter about the curve gives the noise. Outside the range of the data the correction
-is held at the range's end.
+noise is sigma ~ z^p (p = 2 for a triangulating sensor, 0 where tape and wall dominate): the small-sample criterion
+chooses the order and weighs p = 0, 1, 2; the scatter about the curve gives the noise. Outside the range of the data the
+correction is held at the range's end.
 
 References
 ----------
 The paper, section 7 (after Nakazawa et al.). C. Hurvich, C.-L. Tsai, Biometrika 76(2), 1989, for the criterion.
+K. Burnham, D. Anderson, Model Selection and Multimodel Inference, 2002, section 4.2, for the weights.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -33,7 +34,7 @@ class DepthBiasParams:
     """Degree of the polynomial; None: chosen from 1 ... max_order."""
     max_order: int = 4
     noise_exponent: float | None = None
-    """p of sigma ~ z^p, where the depths have no standard errors; None: 0, 1 or 2, whichever is the most likely."""
+    """p of sigma ~ z^p, where the depths have no standard errors; None: 0, 1 and 2, each by its likelihood."""
     min_range_ratio: float = 1.25
     """The farthest distance over the nearest: below it, offset and scale cannot be told apart."""
     outlier_sigmas: float = 5.0
@@ -128,7 +129,24 @@ def _best(z_m: FloatArray, z_true_m: FloatArray, sigma_m: FloatArray | None, par
         fits = (_fit_known(z_m, z_true_m, np.hypot(sigma_m, tau_m), order, tau_m) for order in orders)
         return min(fits, key=lambda fit: fit.criterion)
     exponents = [0.0, 1.0, 2.0] if params.noise_exponent is None else [params.noise_exponent]
-    return min((_fit(z_m, z_true_m, order, p) for order in orders for p in exponents), key=lambda fit: fit.criterion)
+    listed = [[_fit(z_m, z_true_m, order, p) for p in exponents] for order in orders]
+    return _averaged(min(listed, key=lambda fits: min(fit.criterion for fit in fits)))
+
+
+def _averaged(fits: list[_Fit]) -> _Fit:
+    """Fits of one order over the noise exponents that they assume, by Akaike weights.
+
+    The likeliest exponent alone would claim a near end several times as sure as it is, where few distances decide it.
+    """
+    best = min(fits, key=lambda fit: fit.criterion)
+    behind = np.nan_to_num([fit.criterion - best.criterion for fit in fits])  # inf - inf with very few distances
+    weights = np.exp(-behind / 2) / np.exp(-behind / 2).sum()
+    mean = np.sum([w * fit.coefficients for w, fit in zip(weights, fits, strict=True)], axis=0)
+    off = [fit.coefficients - mean for fit in fits]
+    covariance = np.sum(
+        [w * (fit.covariance + np.outer(d, d)) for w, fit, d in zip(weights, fits, off, strict=True)], axis=0
+    )
+    return replace(best, coefficients=mean, covariance=covariance)
 
 
 def _fit(z_m: FloatArray, z_true_m: FloatArray, order: int, exponent: float) -> _Fit:
