@@ -64,16 +64,19 @@ def by_visibility(camera: IntArray, point: IntArray, n_cameras: int) -> Grouping
     sets = np.zeros((n_points, n_cameras), bool)
     sets[point[rows], camera[rows]] = True
     labels = np.flatnonzero(sets.any(axis=1))
-    keys = np.packbits(sets[labels], axis=1)
-    order = np.lexsort(keys.T[::-1])
-    labels, keys = labels[order], keys[order]
+    runs = [(0, len(labels))]
+    if not sets[labels].all():
+        keys = np.packbits(sets[labels], axis=1)
+        order = np.lexsort(keys.T[::-1])
+        labels, keys = labels[order], keys[order]
+        runs = _runs(keys)
     new = np.zeros(n_points, int)
     new[labels] = np.arange(len(labels))
 
     by_point = rows[np.argsort(new[point[rows]], kind="stable")]
     ends = np.concatenate([[0], np.cumsum(sets[labels].sum(axis=1))])
     blocks = []
-    for start, stop in _runs(keys):
+    for start, stop in runs if len(labels) else ():
         cameras = np.flatnonzero(sets[labels[start:stop]].any(axis=0))
         step = max(MIN_BLOCK_POINTS, MAX_BLOCK_OBSERVATIONS // len(cameras))
         n_parts = -(-(stop - start) // step)
@@ -91,8 +94,6 @@ def by_visibility(camera: IntArray, point: IntArray, n_cameras: int) -> Grouping
 
 def _runs(keys: np.ndarray) -> list[tuple[int, int]]:
     """Slices of equal sets, neighbours joined until each holds `MIN_BLOCK_POINTS` points."""
-    if not len(keys):
-        return []
     edges = [0, *(np.flatnonzero((keys[1:] != keys[:-1]).any(axis=1)) + 1), len(keys)]
     runs: list[tuple[int, int]] = []
     start = 0

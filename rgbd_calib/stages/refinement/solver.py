@@ -75,7 +75,7 @@ def minimise(terms: Sequence[Term], start: State, free_scale: bool, tolerance: f
     tolerance : relative decrease of the cost, promised by the linear model or seen, at which to stop.
     """
     state, cost = start, evaluate(terms, start)
-    damping, growth = _FIRST_DAMPING, 2.0
+    damping, growth, before = _FIRST_DAMPING, 2.0, 0.0
     for iteration in range(1, max_iterations + 1):
         step = _solve(terms, state, damping, free_scale)
         trial_cost, trial = float("inf"), state
@@ -86,8 +86,10 @@ def minimise(terms: Sequence[Term], start: State, free_scale: bool, tolerance: f
             if trial_cost <= cost:
                 decrease = cost - trial_cost
                 good = decrease > 0.25 * step.predicted
-                state, cost = trial, trial_cost
-                if small or (good and decrease <= tolerance * cost):
+                # steps that shrink by a factor leave about that factor times the last one
+                left = step.predicted**2 / before if good and step.predicted < 0.1 * before else step.predicted
+                state, cost, before = trial, trial_cost, step.predicted
+                if small or left <= tolerance * cost or (good and decrease <= tolerance * cost):
                     return Minimum(
                         state,
                         cost,

@@ -34,6 +34,8 @@ class PointTerm:
         self._residuals: list[FloatArray] = [np.empty(0)] * len(grouping.blocks)
         self._eliminated: list[kernels.Eliminated] = []
         self._memory = kernels.Memory()
+        self._free = [block.cameras[block.first_free :] - 1 for block in grouping.blocks]
+        self._at = [(6 * free[:, None] + np.arange(6)).ravel() for free in self._free]
         self._Y = [
             np.empty((len(b.cameras) - b.first_free, 6, 3, b.points.stop - b.points.start)) for b in grouping.blocks
         ]
@@ -70,9 +72,11 @@ class PointTerm:
         for i, block in enumerate(self.grouping.blocks):
             A, r, _ = self._weighted(i, block)
             out = kernels.eliminate(A, r, self._X[:, block.points], block.first_free, damping, self._memory, self._Y[i])
-            free = block.cameras[block.first_free :] - 1
-            at = (6 * free[:, None] + np.arange(6)).ravel()
-            S[at[:, None], at] += out.S
+            free, at = self._free[i], self._at[i]
+            if len(at) == len(g):
+                S += out.S
+            else:
+                S[at[:, None], at] += out.S
             g[at] += out.g
             U[free] += np.einsum("kaa->ka", out.U)
             gain += float(np.vdot(out.Lg, out.Lg))
@@ -82,9 +86,8 @@ class PointTerm:
     def step(self, xi: FloatArray) -> FloatArray:
         """Step (3, h) of the points for a step (6 F,) of the poses, after :meth:`normal`."""
         step = np.empty_like(self._X)
-        xi = xi.reshape(-1, 6)
-        for block, out in zip(self.grouping.blocks, self._eliminated, strict=True):
-            step[:, block.points] = out.point_step(xi[block.cameras[block.first_free :] - 1].ravel())
+        for block, at, out in zip(self.grouping.blocks, self._at, self._eliminated, strict=True):
+            step[:, block.points] = out.point_step(xi[at])
         return step
 
     def squares_by_camera(self, C: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -100,8 +103,7 @@ class PointTerm:
             X = self._X[:, block.points]
             B = np.empty_like(A)
             out.L.forward(A.swapaxes(0, 1), B.swapaxes(0, 1))
-            free = block.cameras[block.first_free :] - 1
-            at = (6 * free[:, None] + np.arange(6)).ravel()
+            at = self._at[i]
             Y = out.Y.reshape(len(at), 3, -1)
             for j, camera in enumerate(block.cameras):
                 E = -np.einsum("crn,acn->arn", B[j], Y)
@@ -156,9 +158,9 @@ class PixelTerm(PointTerm):
     def __init__(
         self, grouping: Grouping, pixels_px: FloatArray, intrinsics: tuple[Intrinsics, ...], loss: Loss
     ) -> None:
-        super().__init__(grouping, len(intrinsics), loss)
         vectors = np.stack([camera.vector for camera in intrinsics])
         self._focal = vectors[:, :2]
+        super().__init__(grouping, len(intrinsics), loss)
         self._lens = vectors[:, 4:] if np.any(vectors[:, 4:]) else None
         self._measured = []
         for block in grouping.blocks:
@@ -169,8 +171,11 @@ class PixelTerm(PointTerm):
     def _block_lens(self, block: Block) -> FloatArray | None:
         return None if self._lens is None else np.ascontiguousarray(self._lens[block.cameras].T[:, :, None])
 
-    def _block_focal(self, block: Block) -> FloatArray:
-        return (self._focal[block.cameras] * self._inverse_sigma[block.cameras, None])[:, :, None]
+    def set_sigmas(self, sigmas: FloatArray) -> None:
+        """Noise (N,) of the cameras, px."""
+        super().set_sigmas(sigmas)
+        whitened = (self._focal * self._inverse_sigma[:, None])[:, :, None]
+        self._block_focal = [whitened[block.cameras] for block in self.grouping.blocks]
 
     def _residual(self, i: int, block: Block, T: FloatArray, X: FloatArray) -> FloatArray | None:
         P = kernels.camera_points(T[:, :3, :3], T[:, :3, 3], X)
@@ -184,14 +189,14 @@ class PixelTerm(PointTerm):
         xy *= z_inv[:, None]
         lens = self._block_lens(block)
         r = self._measured[i] - (xy if lens is None else kernels.distort(lens, xy))
-        r *= self._block_focal(block)
+        r *= self._block_focal[i]
         self._state[i] = (xy, z_inv)
         return r
 
     def _jacobian(self, i: int, block: Block) -> FloatArray:
         xy, z_inv = self._state[i]
         R = self._T[block.cameras, :3, :3]
-        return kernels.pixel_jacobian(R, xy, z_inv, self._block_focal(block), self._block_lens(block), self._memory)
+        return kernels.pixel_jacobian(R, xy, z_inv, self._block_focal[i], self._block_lens(block), self._memory)
 
 
 class MeasuredPointTerm(PointTerm):
