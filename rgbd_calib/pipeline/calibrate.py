@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import platform
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
@@ -10,9 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-import scipy
 
 import rgbd_calib
 from rgbd_calib.errors import CalibrationError
@@ -220,7 +217,7 @@ def provenance_of(config: Config) -> dict[str, Any]:
     """Which program, run how."""
     return {
         "program": f"rgbd-calib {rgbd_calib.__version__}",
-        "versions": {"python": platform.python_version()} | {m.__name__: m.__version__ for m in (np, scipy, cv2)},
+        "versions": details.versions(),
         "command": shlex.join(["rgbd-calib", *sys.argv[1:]]),
         "seed": config.seed,
         "config": plain(as_plain(config)),

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import cv2
 import numpy as np
+import scipy
 
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import camera as lens
@@ -30,6 +33,12 @@ class Joint:
 
     covariance: FloatArray
     parameters: dict[str, slice]
+
+
+def versions() -> dict[str, str]:
+    """Of what the numbers depend on."""
+    numeric = {"numpy": np.__version__, "scipy": scipy.__version__, "opencv": cv2.__version__}
+    return {"python": platform.python_version(), **numeric}
 
 
 def joint_of_bundle(solved: BundleResult) -> Joint:

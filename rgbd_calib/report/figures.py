@@ -19,7 +19,7 @@ Figure = dict[str, Any]
 
 _GRID = "#e4e4e4"
 _ARROW_SHARE = 0.9  # longest arrow, as share of a cell
-_LOG_TICKS = [float(f"{m}e{e}") for e in range(-4, 5) for m in (1, 2, 5)]
+_LOG_TICKS = [float(f"{m}e{e}") for e in range(-4, 5) for m in (1, 1.5, 2, 3, 5, 7)]
 _SIZES = [[0, "#ffffff"], [1, "#3f7ab0"]]
 _SIGNS = [[0, "#2f5fa8"], [0.5, "#f7f7f7"], [1, "#c2412d"]]
 

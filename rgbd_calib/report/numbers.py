@@ -16,7 +16,7 @@ from rgbd_calib.types import Board, BoardView
 
 CELLS = (8, 6)
 """Columns and rows of the cells of an image."""
-BIN_M = 0.25
+BINS = 8
 MIN_IN_CELL = 3
 
 
@@ -106,13 +106,17 @@ class DistanceBins:
 def over_distance(r: Residuals) -> DistanceBins:
     """Residuals of one camera in bins of depth, of what was used."""
     depth = r.used_depth & np.isfinite(r.residual_depth_m)
-    bins = np.floor(r.depth_m / BIN_M)
+    if not depth.any():
+        return DistanceBins(*np.empty((4, 0)))
+    wanted = float(np.ptp(r.depth_m[depth])) / BINS
+    width_m = next((step for step in (0.05, 0.1, 0.25, 0.5) if step >= wanted), 1.0)
+    bins = np.floor(r.depth_m / width_m)
     rows = []
     for b in np.unique(bins[depth]):
         mine = depth & (bins == b)
         if mine.sum() >= MIN_IN_CELL:
             z = r.residual_depth_m[mine]
-            rows.append(((b + 0.5) * BIN_M, rms(r.residual_px[mine & r.used_pixel]), z.mean(), z.std()))
+            rows.append(((b + 0.5) * width_m, rms(r.residual_px[mine & r.used_pixel]), z.mean(), z.std()))
     return DistanceBins(*np.array(rows, float).reshape(-1, 4).T)
 
 

@@ -21,9 +21,6 @@ from rgbd_calib.report.verdict import FAIR_MM, GOOD_MM, NOISE_FACTOR, judge
 from rgbd_calib.stages.coverage import Coverage, CoverageParams
 from rgbd_calib.types import Board, Rig
 
-WEIGHT_AT_M = 2.0
-"""Distance at which the weight of pixels against depth is shown."""
-
 
 @dataclass(frozen=True)
 class Picture:
@@ -70,7 +67,8 @@ def render(contents: Contents) -> str:
     _bias_figures(drawn, rig, left)
     if quality.get("pairs"):
         drawn["pairs"] = figures.pair_graph(list(rig.cameras), quality["pairs"])
-    _round_figures(drawn, rig)
+    at_m = _usual_distance_m(left)
+    _round_figures(drawn, rig, at_m)
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("rgbd_calib.report", "templates"),
         autoescape=True,
@@ -78,6 +76,7 @@ def render(contents: Contents) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["commands"] = _commands
     return environment.get_template("report.html").render(
         title=contents.title,
         rig=rig,
@@ -93,7 +92,7 @@ def render(contents: Contents) -> str:
         scales=scales,
         drawn=drawn,
         dropped=_dropped(quality),
-        weight_at_m=WEIGHT_AT_M,
+        at_m=at_m,
         pictures=[(p.view, _jpeg(p.before), _jpeg(p.after)) for p in contents.pictures],
         cloud_note=contents.cloud_note,
         missing=contents.missing,
@@ -167,7 +166,7 @@ def _bias_figures(drawn: dict[str, Figure], rig: Rig, left: Residuals | None) ->
             drawn[f"bias_{i}"] = figures.depth_bias(own.depth_bias, samples.get(name), mine, i)
 
 
-def _round_figures(drawn: dict[str, Figure], rig: Rig) -> None:
+def _round_figures(drawn: dict[str, Figure], rig: Rig, at_m: float) -> None:
     history = rig.quality.get("rounds", [])
     if not history:
         return
@@ -175,7 +174,7 @@ def _round_figures(drawn: dict[str, Figure], rig: Rig) -> None:
     if "sigma_2d_px" in history[0]:
         drawn["rounds_px"] = figures.rounds(history, "sigma_2d_px", "pixel noise, px", 1.0, names)
     if "depth_k_per_m" in history[0]:
-        depth = [{n: r["depth_k_per_m"][n] * WEIGHT_AT_M**2 for n in names if n in r["depth_k_per_m"]} for r in history]
+        depth = [{n: r["depth_k_per_m"][n] * at_m**2 for n in names if n in r["depth_k_per_m"]} for r in history]
     elif "sigma_3d_m" in history[0]:
         depth = [{n: r["sigma_3d_m"] for n in names} for r in history]
     else:
@@ -190,6 +189,12 @@ def _round_figures(drawn: dict[str, Figure], rig: Rig) -> None:
     weight = [{n: 1e3 * d[n] / p[n] for n in d if n in p} for d, p in zip(depth, pixel, strict=True)]
     drawn["rounds_depth"] = figures.rounds([{"x": d} for d in depth], "x", "depth noise, mm", 1e3, names)
     drawn["rounds_weight"] = figures.rounds([{"x": w} for w in weight], "x", "mm of depth worth 1 px", 1.0, names)
+
+
+def _usual_distance_m(left: Residuals | None) -> float:
+    """Median depth of what was used, to half a metre: where a noise that grows with distance is shown."""
+    used = left.depth_m[left.used_depth] if left is not None else np.empty(0)
+    return max(0.5, round(2 * float(np.median(used))) / 2) if len(used) else 2.0
 
 
 def _poses(rig: Rig) -> list[dict[str, Any]]:
@@ -237,6 +242,14 @@ def _dropped(quality: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         name, _, frame = view.partition(" ")
         rows.append((name, frame, "depth only: it does not lie on the board's plane"))
     return rows
+
+
+def _commands(text: str) -> Any:
+    """Text with what stands between backticks as code, the rest escaped."""
+    import markupsafe
+
+    parts = [markupsafe.escape(part) for part in text.split("`")]
+    return markupsafe.Markup("".join(f"<code>{p}</code>" if i % 2 else p for i, p in enumerate(parts)))
 
 
 def _jpeg(picture: np.ndarray) -> str:

@@ -34,7 +34,7 @@ def judge(quality: Mapping[str, Any], missing: Sequence[str], depth_noise_mm: fl
     if expected:
         levels.append(_level(expected["mean_mm"], 1.0))
         reasons.append(
-            f"Expected error, from how well the recording determines every parameter: {expected['mean_mm']:.2g} mm in the "
+            f"Expected error, from how well the recording determines every parameter: {_mm(expected['mean_mm'])} in the "
             f"mean over the working volume ({levels[-1]})."
         )
         if expected["of"].startswith("poses alone"):
@@ -44,9 +44,9 @@ def judge(quality: Mapping[str, Any], missing: Sequence[str], depth_noise_mm: fl
     if "median_mm" in measured:
         levels.append(_level(measured["median_mm"], NOISE_FACTOR))
         reasons.append(
-            f"Measured on the recording itself: two cameras put the same board corner {measured['median_mm']:.2g} mm apart "
+            f"Measured on the recording itself: two cameras put the same board corner {_mm(measured['median_mm'])} apart "
             f"in the median, the noise of two single depth readings included ({levels[-1]})."
-            + (f" That noise alone is {depth_noise_mm:.2g} mm in each camera, RMS." if depth_noise_mm else "")
+            + (f" Single depth readings scatter by {_mm(depth_noise_mm)} here, RMS." if depth_noise_mm else "")
         )
     weak, advice = _weaknesses(quality)
     reasons += weak
@@ -56,16 +56,19 @@ def judge(quality: Mapping[str, Any], missing: Sequence[str], depth_noise_mm: fl
     level: Level = max(levels, key=_ORDER.index) if levels else "unknown"
     if level in ("fair", "poor") and expected:
         steps += _worst_pair(expected)
-    steps += [_sentence(text) for text in quality.get("not_observable", [])]
-    steps += [_sentence(text) for text in missing]
+    wanted = [_sentence(text) for text in (*quality.get("not_observable", []), *missing)]
+    steps += [f"To make it better: {text}" for text in wanted] if level == "good" else wanted
     if level == "unknown":
         steps.insert(0, "Record depth too, and calibrate with it: without it no error in mm can be given.")
-    steps.append(
-        "Check the rig with a few new frames whenever it may have been touched: rgbd-calib verify RIG.yaml NEW_RECORDING."
-        if level == "good"
-        else "Film what is asked for above, add it to the recording, and calibrate again."
-    )
+    if level == "good":
+        steps.insert(0, "Use it. Whenever the rig may have been touched: `rgbd-calib verify RIG.yaml NEW_RECORDING`.")
+    else:
+        steps.append("Film what is asked for above, add it to the recording, and calibrate again.")
     return Verdict(level, _headline(level, expected, measured), tuple(reasons), tuple(steps))
+
+
+def _mm(value: float) -> str:
+    return f"{value:.1f} mm" if value >= 1 else f"{value:.2f} mm"
 
 
 def _level(mm: float, factor: float) -> Level:
@@ -74,18 +77,23 @@ def _level(mm: float, factor: float) -> Level:
 
 def _headline(level: Level, expected: Mapping[str, Any] | None, measured: Mapping[str, Any]) -> str:
     if expected:
-        number = f"two cameras are expected to put the same point {expected['mean_mm']:.2g} mm apart"
+        number = f"two cameras are expected to put the same point {_mm(expected['mean_mm'])} apart"
     elif "median_mm" in measured:
-        number = f"two cameras put the same point {measured['median_mm']:.2g} mm apart, sensor noise included"
+        number = f"two cameras put the same point {_mm(measured['median_mm'])} apart, sensor noise included"
     else:
         number = "the recording has no depth that two cameras share, so no error in mm is known"
     words = {
-        "good": "Good: use it.",
+        "good": "Good.",
         "fair": "Fair: usable, with care.",
         "poor": "Poor: do not use it yet.",
         "unknown": "Unknown.",
     }
-    return f"{words[level]} On average, {number}." if level != "unknown" else f"{words[level]} {number.capitalize()}."
+    where = " inside the volume that the boards went through" if expected else ""
+    return (
+        f"{words[level]} On average, {number}{where}."
+        if level != "unknown"
+        else f"{words[level]} {number.capitalize()}."
+    )
 
 
 def _weaknesses(quality: Mapping[str, Any]) -> tuple[list[str], list[str]]:
@@ -109,7 +117,7 @@ def _weaknesses(quality: Mapping[str, Any]) -> tuple[list[str], list[str]]:
 def _worst_pair(expected: Mapping[str, Any]) -> list[str]:
     pair, own = max(expected["pairs"].items(), key=lambda item: item[1]["mean_mm"])
     return [
-        f"The weakest pair is {pair} ({own['mean_mm']:.2g} mm): show the board to both, near and far, tilted both ways."
+        f"The weakest pair is {pair} ({_mm(own['mean_mm'])}): show the board to both, near and far, tilted both ways."
     ]
 
 

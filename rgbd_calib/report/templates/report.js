@@ -34,6 +34,13 @@ function draw(id) {
 const drawn = Promise.all(Object.keys(figures).filter((id) => document.getElementById(id)).map(draw));
 drawn.then(() => { document.body.dataset.drawn = "yes"; });
 
+// the wheel scrolls the page until the view is clicked, so that nobody gets stuck in it
+const view = document.getElementById("fig_scene");
+let held = false;
+view.addEventListener("mousedown", () => { held = true; }, true);
+view.addEventListener("mouseleave", () => { held = false; });
+view.addEventListener("wheel", (event) => { if (!held) event.stopPropagation(); }, { capture: true, passive: true });
+
 const touch = document.querySelector("button.touch");
 touch.addEventListener("click", () => {
   const on = touch.getAttribute("aria-pressed") !== "true";

@@ -1,0 +1,304 @@
+"""The report: what it says, that it needs nothing but itself, and how it looks in a real Chromium."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_recording import FOCAL_PX, HEIGHT, WIDTH, draw_recording
+
+from rgbd_calib.cli.main import cli
+from rgbd_calib.errors import ConfigError
+from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.io.residuals import Residuals, read_residuals, residuals_path, write_residuals
+from rgbd_calib.io.rig import read_boards, read_rig, write_intrinsics
+from rgbd_calib.report import numbers
+from rgbd_calib.report.verdict import FAIR_MM, GOOD_MM, NOISE_FACTOR, judge
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+CAMERAS = ("C1", "C2", "C3")
+FRAMES = 6
+LIMIT_BYTES = 8_000_000
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with recording, rig.yaml, rig.residuals.csv and report/index.html."""
+    folder = tmp_path_factory.mktemp("report")
+    draw_recording(folder / "recording", cameras=len(CAMERAS), frames=FRAMES)
+    lens = Intrinsics(WIDTH, HEIGHT, FOCAL_PX, FOCAL_PX, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
+    write_intrinsics(folder / "intrinsics.yaml", dict.fromkeys(CAMERAS, lens), {}, {}, {})
+    options = ["--intrinsics", folder / "intrinsics.yaml", "-o", folder / "rig.yaml", "--report", folder / "report"]
+    cli.main(["calibrate", *map(str, [folder / "recording", *options])], standalone_mode=False)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(calibrated: Path) -> str:
+    return (calibrated / "report" / "index.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def browser(tmp_path):
+    """Headless Chromium without a network; 3D is drawn in software."""
+    if not (CHROMIUM and DRIVER):
+        pytest.skip("no Chromium: apt-get install chromium chromium-driver")
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for argument in (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-dev-shm-usage",
+        "--enable-unsafe-swiftshader",
+        "--window-size=1280,1000",
+        "--proxy-server=127.0.0.1:9",
+        f"--user-data-dir={tmp_path / 'profile'}",
+    ):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    yield driver
+    driver.quit()
+
+
+def figures_of(page: str) -> dict:
+    found = re.search(r'<script id="figures" type="application/json">(.*?)</script>', page, re.S)
+    assert found
+    return json.loads(found[1])
+
+
+def test_the_report_opens_in_a_browser_at_both_widths(calibrated, browser):
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    def show(width: int, height: int, mobile: bool) -> None:
+        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": mobile}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        browser.get((calibrated / "report" / "index.html").as_uri())
+        WebDriverWait(browser, 120).until(lambda b: b.execute_script("return document.body.dataset.drawn") == "yes")
+
+    show(1280, 1000, False)
+    assert browser.find_element("css selector", "#verdict .headline").is_displayed()
+    assert browser.execute_script("return document.querySelectorAll('.plot').length") >= 20
+    assert (
+        browser.execute_script(
+            "return [...document.querySelectorAll('.plot')].filter(p => !p.querySelector('svg')).length"
+        )
+        == 0
+    )
+    scene = browser.find_element("id", "fig_scene")
+    assert browser.execute_script("return !!document.querySelector('#fig_scene canvas').getContext('webgl')")
+    browser.execute_script("arguments[0].scrollIntoView()", scene)
+    assert colours(scene.screenshot_as_png) > 100  # blank: 1, an error message: some tens of greys
+    loaded = browser.execute_script("return performance.getEntriesByType('resource').map(e => e.name)")
+    assert [name for name in loaded if not name.startswith("data:")] == []
+    show(390, 844, True)
+    wide = browser.execute_script("return document.documentElement.scrollWidth")
+    assert wide <= 390
+    small = browser.execute_script(
+        "return [...document.querySelectorAll('p, li, td, th, figcaption, dd')]"
+        ".filter(e => e.offsetParent && parseFloat(getComputedStyle(e).fontSize) < 13).length"
+    )
+    assert small == 0
+    assert browser.find_element("css selector", "#verdict .headline").is_displayed()
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+def colours(png: bytes) -> int:
+    import cv2
+
+    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    return len(np.unique(picture.reshape(-1, 3), axis=0))
+
+
+def test_the_page_is_one_small_file_with_every_section(page):
+    assert len(page.encode()) < LIMIT_BYTES
+    head = page[: page.index("<script>")]
+    assert not re.search(r"""(src|href)=["'](https?:)?//""", head)
+    for section in (
+        "verdict",
+        "rig",
+        "clouds",
+        "pairs",
+        "coverage",
+        "residuals",
+        "bias",
+        "weights",
+        "dropped",
+        "origin",
+    ):
+        assert f'<section id="{section}"' in head
+    assert re.search(r'class="headline">(Good|Fair|Poor)', head)
+    assert head.count('src="data:image/jpeg') == 6  # before and after, from three sides
+    assert 'class="missing"' not in head
+    assert "rgbd-calib 0" in head and "opencv" in head and "calibrate" in head
+
+
+def test_figures_are_what_plotly_knows(page):
+    import plotly.graph_objects as go
+
+    drawn = figures_of(page)
+    assert {"fig_scene", "fig_pairs", "fig_views_px", "fig_views_depth", "fig_rounds_weight", "fig_bias_0"} <= set(
+        drawn
+    )
+    for name, figure in drawn.items():
+        go.Figure(figure)  # raises for a property or value that does not exist
+        assert f'id="{name}"' in page, f"{name} is drawn nowhere"
+    grid = drawn["fig_scene"]["data"][0]
+    assert len(grid["x"]) == len(grid["text"]) > 20
+
+
+def test_residuals_beside_the_rig_are_those_of_its_boards(calibrated):
+    """Boards and cameras of the file, projected, give the residuals of the file."""
+    from rgbd_calib.geometry import camera, se3
+    from rgbd_calib.types import Board
+
+    rig, boards = read_rig(calibrated / "rig.yaml"), read_boards(calibrated / "rig.yaml")
+    left = read_residuals(residuals_path(calibrated / "rig.yaml"))
+    board = Board(**rig.quality["board"])
+    assert left.used_pixel.sum() > 0.9 * len(left.camera) > 0
+    # the board's bow is an unknown of the bundle, not of the file: 1 mm of it at 1.4 m and 45 degrees shifts 0.3 px
+    for name, own in rig.cameras.items():
+        for frame, T in boards.items():
+            rows = left.select((left.camera == name) & (left.frame == frame))
+            if len(rows.camera):
+                p = se3.transform(se3.inverse(own.T_world_color) @ T, board.corners_m()[rows.feature.astype(int)])
+                expected = rows.pixels_px - camera.project(own.intrinsics.vector, p)
+                np.testing.assert_allclose(rows.residual_px, expected, atol=0.3)
+    assert numbers.rms(left.residual_px) < 0.3
+
+
+def test_report_says_what_is_missing_and_how_to_get_it(calibrated, tmp_path, run):
+    shutil.copy(calibrated / "rig.yaml", tmp_path / "rig.yaml")
+    text = (tmp_path / "rig.yaml").read_text().replace(str(calibrated / "recording"), "/gone")
+    (tmp_path / "rig.yaml").write_text(text)
+    out = run("report", tmp_path / "rig.yaml", "-o", tmp_path / "r")
+    assert out.status == 0, out.stderr
+    page = (tmp_path / "r" / "index.html").read_text(encoding="utf-8")
+    assert "rig.residuals.csv is not beside rig.yaml" in page
+    assert "<code>rgbd-calib calibrate</code> writes it" in page
+    assert "--recording DIR" in page
+    assert "fig_scene" in figures_of(page)
+    assert run("report", tmp_path / "rig.yaml", "-o", tmp_path / "r").status == 2
+    shutil.copy(residuals_path(calibrated / "rig.yaml"), tmp_path)
+    again = (
+        "report",
+        tmp_path / "rig.yaml",
+        "--recording",
+        calibrated / "recording",
+        "-o",
+        tmp_path / "r",
+        "--overwrite",
+    )
+    assert run(*again).status == 0
+    page = (tmp_path / "r" / "index.html").read_text(encoding="utf-8")
+    assert 'class="missing"' not in page[: page.index("<script>")]
+
+
+def test_calibrate_does_not_write_over_residuals_or_a_report(calibrated, tmp_path, run):
+    (tmp_path / "rig.residuals.csv").write_text("mine")
+    out = run("calibrate", calibrated / "recording", "-o", tmp_path / "rig.yaml")
+    assert out.status == 2 and "rig.residuals.csv" in out.stderr
+    assert (tmp_path / "rig.residuals.csv").read_text() == "mine"
+    out = run("calibrate", calibrated / "recording", "-o", tmp_path / "b.yaml", "--report", calibrated / "report")
+    assert out.status == 2 and "index.html" in out.stderr
+
+
+def test_report_of_a_rig_that_says_nothing_of_itself(tiny, tmp_path, run):
+    """Made by another program: the rig is drawn, and every empty section says so."""
+    out = run("report", tiny.rig_path, "--recording", tiny.recording, "-o", tmp_path)
+    assert out.status == 0, out.stderr
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert 'class="headline">Unknown.' in page
+    assert set(figures_of(page)) >= {"fig_scene", "fig_bias_0"}
+
+
+@pytest.mark.parametrize(
+    ("expected", "measured", "level"),
+    [
+        (GOOD_MM, GOOD_MM * NOISE_FACTOR, "good"),
+        (GOOD_MM + 0.1, 1.0, "fair"),
+        (1.0, GOOD_MM * NOISE_FACTOR + 0.1, "fair"),
+        (FAIR_MM + 0.1, 1.0, "poor"),
+        (1.0, FAIR_MM * NOISE_FACTOR + 0.1, "poor"),
+    ],
+)
+def test_the_worse_of_expected_and_measured_decides(expected, measured, level):
+    pairs = {"C1 - C2": {"mean_mm": expected}}
+    quality = {
+        "expected_alignment": {"mean_mm": expected, "of": "poses, intrinsics, depth bias", "pairs": pairs},
+        "alignment_on_recording": {"all": {"median_mm": measured}},
+    }
+    verdict = judge(quality, ())
+    assert verdict.level == level
+    assert verdict.headline.startswith(level.capitalize())
+    assert f"{expected:.1f} mm" in verdict.headline
+    assert any("C1 - C2" in step for step in verdict.next_steps) == (level != "good")
+
+
+def test_a_camera_on_a_thread_is_fair_at_best():
+    quality = {
+        "alignment_on_recording": {"all": {"median_mm": 1.0}},
+        "pairs": [{"cameras": ["C1", "C2"], "agreeing": 9}, {"cameras": ["C2", "C3"], "agreeing": 2}],
+    }
+    verdict = judge(quality, ("C3: 2 views, 8 needed: show it more poses",))
+    assert verdict.level == "fair"
+    assert any("C3 is tied to the rig by 2" in reason for reason in verdict.reasons)
+    assert any("C3: 2 views" in step for step in verdict.next_steps)
+
+
+def some_residuals() -> Residuals:
+    nan = np.nan
+    return Residuals(
+        np.array(["C1", "C1", "C2"]),
+        np.array(["000000", "C1 alone: 000001", "000000"]),
+        np.array(["0", "7", "53"]),
+        np.array([[10.5, 20.25], [600.0, 400.0], [1.0, 2.0]]),
+        np.array([[0.25, -0.5], [0.0, 1.0], [nan, nan]]),
+        np.array([1.5, nan, 2.0]),
+        np.array([0.002, nan, -0.001]),
+        np.array([True, True, False]),
+        np.array([True, False, False]),
+    )
+
+
+def test_residuals_survive_the_file(tmp_path):
+    wrote = some_residuals()
+    write_residuals(tmp_path / "a.residuals.csv", wrote)
+    got = read_residuals(tmp_path / "a.residuals.csv")
+    for name in wrote.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(got, name), getattr(wrote, name))
+    (tmp_path / "a.residuals.csv").write_text((tmp_path / "a.residuals.csv").read_text().replace("both", "perhaps"))
+    with pytest.raises(ConfigError, match=r"line 2: used: 'perhaps' seen"):
+        read_residuals(tmp_path / "a.residuals.csv")
+
+
+def test_numbers_of_residuals_by_hand():
+    left = some_residuals()
+    views = {(v.camera, v.frame): v for v in numbers.by_view(left)}
+    assert views["C1", "000000"].rms_px == pytest.approx(np.sqrt((0.25**2 + 0.5**2) / 2))
+    assert views["C1", "000000"].rms_depth_m == pytest.approx(0.002)
+    assert not views["C2", "000000"].used_pixel and not views["C1", "C1 alone: 000001"].used_depth
+    assert [v.frame for v in numbers.by_view(left)][-1] == "C1 alone: 000001"  # after the rig's own frames
+    row = numbers.camera_table(left, {"C1": {}, "C2": {}})
+    assert (row[0]["views"], row[0]["corners"], row[0]["depths"]) == (2, 2, 1)
+    assert (row[1]["corners_left_out"], row[1]["depths_left_out"]) == (1, 1)
+
+
+def test_cells_of_the_image_hold_their_mean():
+    n = 5
+    u = np.tile([[41.0, 41.0]], (n, 1))  # cell (0, 0) of 80 x 80 px
+    r = np.column_stack([np.full(n, 0.3), np.linspace(-0.1, 0.1, n)])
+    names = np.array(["C1"] * n)
+    left = Residuals(names, names, names, u, r, np.full(n, 2.0), np.full(n, 1e-3), np.ones(n, bool), np.ones(n, bool))
+    cells = numbers.over_image(left, 640, 480)
+    np.testing.assert_allclose(cells.mean_px[0, 0], [0.3, 0.0], atol=1e-12)
+    assert cells.mean_depth_m[0, 0] == pytest.approx(1e-3)
+    assert np.isnan(cells.rms_px[3, 3]) and cells.count.sum() == n
+    bins = numbers.over_distance(left)
+    assert len(bins.depth_m) == 1 and bins.mean_depth_m[0] == pytest.approx(1e-3)
