@@ -163,7 +163,11 @@ def _distance_and_tilt(view: BoardView, board: Board, intrinsics: Intrinsics) ->
         return math.nan, math.nan
     try:
         found, rotation, translation = cv2.solvePnP(
-            points_m, view.corners_px, intrinsics.K, np.array(intrinsics.distortion), flags=cv2.SOLVEPNP_IPPE
+            points_m,
+            np.ascontiguousarray(view.corners_px),  # cv2 refuses a slice, such as the columns of a table
+            intrinsics.K,
+            np.array(intrinsics.distortion),
+            flags=cv2.SOLVEPNP_IPPE,
         )
     except cv2.error:
         return math.nan, math.nan
