@@ -35,6 +35,8 @@ class Board:
     """Side of a ChArUco marker; 0 for a checkerboard."""
     dictionary: str = ""
     """Name of the ChArUco dictionary as cv2.aruco spells it, as DICT_5X5_250; empty for a checkerboard."""
+    legacy: bool = False
+    """A ChArUco board in the layout before OpenCV 4.6, where an even number of rows of squares begins with white."""
 
     @property
     def n_corners(self) -> int:

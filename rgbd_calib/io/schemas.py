@@ -109,6 +109,8 @@ class BoardModel(_Model):
     thickness: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
     marker: Positive | None = None
     dictionary: str | None = None
+    legacy: bool | None = None
+    """A ChArUco board in the layout before OpenCV 4.6; nothing means no."""
 
     @model_validator(mode="after")
     def _charuco(self) -> BoardModel:
@@ -119,7 +121,9 @@ class BoardModel(_Model):
     @classmethod
     def of(cls, board: Board) -> BoardModel:
         charuco: dict[str, Any] = (
-            {"marker": board.marker_m, "dictionary": board.dictionary} if board.type == "charuco" else {}
+            {"marker": board.marker_m, "dictionary": board.dictionary, "legacy": board.legacy or None}
+            if board.type == "charuco"
+            else {}
         )
         return cls(
             type=board.type,
@@ -141,6 +145,7 @@ class BoardModel(_Model):
             self.type,
             self.marker or 0.0,
             self.dictionary or "",
+            self.legacy or False,
         )
 
 
