@@ -41,7 +41,8 @@ def board_corners(gray: np.ndarray, most: int) -> FloatArray:
     crossed = _crossed_twice(f, x, y)
     y, x = y[crossed], x[crossed]
     hessian = np.stack([xx[y, x], np.sqrt(2) * xy[y, x], yy[y, x]], axis=1)
-    return np.column_stack([x, y])[_has_neighbours(x, y, hessian, np.log(strength[y, x]))].astype(float)
+    partnered = _has_neighbours(x, y, hessian, np.log(strength[y, x]))
+    return np.column_stack([x, y])[partnered].astype(float)
 
 
 def _crossed_twice(f: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -57,7 +58,7 @@ def _crossed_twice(f: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     at = _ANGLES[np.nonzero(change & four[:, None])[1]].reshape(-1, 4)
     turn = (at[:, 2:] - at[:, :2]) - np.pi
     four[four] = (np.abs(turn) < _OPPOSITE).all(axis=1)
-    return four
+    return np.asarray(four)
 
 
 def _has_neighbours(x: np.ndarray, y: np.ndarray, hessian: np.ndarray, log_strength: np.ndarray) -> np.ndarray:
@@ -71,5 +72,4 @@ def _has_neighbours(x: np.ndarray, y: np.ndarray, hessian: np.ndarray, log_stren
     unit = hessian / np.linalg.norm(hessian, axis=1, keepdims=True)
     turned = np.einsum("ik,ijk->ij", unit, unit[near]) < _TURNED
     alike = np.abs(log_strength[:, None] - log_strength[near]) < _ALIKE
-    partners: np.ndarray = (turned & alike).sum(axis=1) >= 2
-    return partners
+    return np.asarray((turned & alike).sum(axis=1) >= 2)
