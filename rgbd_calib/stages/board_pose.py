@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import camera, resection, se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
@@ -26,11 +27,20 @@ class BoardPoseParams:
 def pose_view(
     view: BoardView, board: Board, intrinsics: Intrinsics, bias: DepthBias | None, params: BoardPoseParams | None = None
 ) -> PosedView:
-    """The face's pose in the colour camera of the view."""
+    """The face's pose in the colour camera of the view.
+
+    Raises
+    ------
+    CalibrationError
+        Corners too few or on a line, or where the lens model has no ray.
+    """
     params = params or BoardPoseParams()
     corners_m = board.corners_m()[view.ids]
     rays = camera.rays(intrinsics.vector, view.corners_px)
-    poses, rms = resection.homography_pose(corners_m[:, :2], rays)
+    try:
+        poses, rms = resection.homography_pose(corners_m[:, :2], rays)
+    except CalibrationError as error:
+        raise CalibrationError(f"{view.camera}: frame {view.frame}: {error}") from None
     best = 0
     if len(poses) > 1:
         n = 2 * len(view.ids)

@@ -23,6 +23,10 @@ from rgbd_calib.types import Board, BoardView
 
 MAX_RELATIVE_SD = 0.05
 """Above this standard deviation of a focal length, as a share of it, the views do not determine it."""
+PROFILE_SIGMAS = 5.0
+"""The standard deviation is that of a linear model; where the views are square to the camera, the focal length runs away
+with the distance and takes it along. So the pixels must also rule out, by this many sigmas, focal lengths that are off by
+this many of the largest standard deviation allowed."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,12 @@ def calibrate_intrinsics(
             f"{camera}: focal length {vector[0]:.0f} px known to {sd[0]:.0f} px only, from {len(kept)} views; "
             f"{100 * MAX_RELATIVE_SD:.0f} % needed. Film the board tilted up to 40 degrees, both ways, not only square to the camera"
         )
+    if (chi2 := _chi2_of_wrong_focal(kept, board, size, solution)) < PROFILE_SIGMAS**2:
+        raise CalibrationError(
+            f"{camera}: a focal length {100 * PROFILE_SIGMAS * MAX_RELATIVE_SD:.0f} % off fits the {len(kept)} views nearly as "
+            f"well (chi^2 larger by {max(chi2, 0):.0f}); {PROFILE_SIGMAS**2:.0f} needed. "
+            "Film the board tilted up to 40 degrees, both ways, not only square to the camera"
+        )
     frames = [view.frame for view in kept]
     intrinsics = Intrinsics(size[0], size[1], 1, 1, 0, 0).with_vector(vector)
     return IntrinsicsResult(intrinsics, sd, total, dict(zip(frames, rms.tolist(), strict=True)), dropped)
@@ -96,12 +106,28 @@ def _best_model(views: list[BoardView], board: Board, size: tuple[int, int]) -> 
     return with_k3 if 2 * n * np.log(with_k3[0] / without[0]) + 2 < 0 else without
 
 
-def _solve(views: list[BoardView], board: Board, size: tuple[int, int], flags: int) -> _Solution:
+def _chi2_of_wrong_focal(views: list[BoardView], board: Board, size: tuple[int, int], solution: _Solution) -> float:
+    """By how much chi^2 grows, in units of the residuals' own variance, where the focal lengths are held off."""
+    n = 2 * sum(len(view.ids) for view in views)
+    grown = []
+    for factor in (1 - PROFILE_SIGMAS * MAX_RELATIVE_SD, 1 / (1 - PROFILE_SIGMAS * MAX_RELATIVE_SD)):
+        guess = solution[1].copy()
+        guess[:2] *= factor
+        guess[4:] *= np.array([factor**2, factor**4, factor, factor, factor**6])  # the same lens in pixels
+        flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_FOCAL_LENGTH | (0 if guess[8] else cv2.CALIB_FIX_K3)
+        grown.append(n * ((_solve(views, board, size, flags, guess)[0] / solution[0]) ** 2 - 1))
+    return float(min(grown))
+
+
+def _solve(
+    views: list[BoardView], board: Board, size: tuple[int, int], flags: int, guess: FloatArray | None = None
+) -> _Solution:
     corners_m = board.corners_m()
     object_points = [corners_m[view.ids].astype(np.float32) for view in views]
     image_points = [view.corners_px.astype(np.float32) for view in views]
+    start = (None, None) if guess is None else (Intrinsics(*size, 1, 1, 0, 0).with_vector(guess).K, guess[4:].copy())
     rms, K, distortion, _, _, sd, _, per_view = cv2.calibrateCameraExtended(
-        object_points, image_points, size, None, None, flags=flags
+        object_points, image_points, size, *start, flags=flags
     )  # type: ignore[call-overload]
     k1, k2, p1, p2, k3 = distortion.ravel()[:5]
     sd = sd.ravel()
