@@ -372,6 +372,7 @@ def test_until_enough(rig):
         (["--intrinsic", "--depth-bias"], "both given"),
         (["--board", "9by6", "--square", "0.06"], "--board 9by6"),
         (["--board", "9x6"], "--square None"),
+        (["--append", "--on-still"], "no board is named there"),
         (["--device", "C1"], "ID=SERIAL needed"),
         (["--distances", "1,2"], "--distances belongs to --depth-bias"),
         (["--depth-bias", "--distances", "1,x"], "metres between commas"),

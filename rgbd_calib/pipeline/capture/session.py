@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from rich.console import Console
 
-from rgbd_calib.errors import CalibrationError, RgbdCalibError
+from rgbd_calib.errors import CalibrationError, ConfigError, RgbdCalibError
 from rgbd_calib.io.capture_log import CaptureLog, Status
 from rgbd_calib.io.growing_recording import GrowingRecording
 from rgbd_calib.io.recording import open_recording
@@ -81,13 +81,18 @@ def capture(params: CaptureParams, console: Console, ask: Ask) -> CaptureResult:
     Raises
     ------
     RgbdCalibError
-        No runtime, no camera, a camera that cannot do what is needed, a full disk, cameras that all fell silent, or
+        No runtime, no camera, no board to wait for, a camera that cannot do what is needed, a full disk, cameras that all fell silent, or
         not one frame set. What was recorded before is whole, and capture.yaml says what happened.
     """
     cv2.setNumThreads(1)  # the cameras' readers need the other cores
     recording = GrowingRecording(
         params.out, params.board, registered=not params.allow_unregistered, append=params.append
     )
+    if recording.board is None and (params.mode.on_still or params.mode.until_enough):
+        raise ConfigError(
+            f"{params.out}: no board is named there; --on-still, --until-enough and --intrinsic look for one. "
+            "Add --board 9x6 --square 0.06"
+        )
     stop = threading.Event()
     with stopping_on_signals(stop):
         runtime = load_runtime(params.redist)
