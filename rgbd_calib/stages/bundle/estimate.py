@@ -1,0 +1,133 @@
+"""The rounds of the bundle: solve, weigh, drop what is grossly wrong, until nothing changes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rgbd_calib.errors import CalibrationError
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.stages.bundle import gross, model, observability, solve, variance
+from rgbd_calib.stages.bundle.model import Observations
+from rgbd_calib.stages.bundle.params import N_WEAK_BIAS, BundleParams, CameraPrior, Round
+from rgbd_calib.stages.bundle.result import BundleResult
+from rgbd_calib.stages.bundle.start import depth_ranges, prior_of, start
+from rgbd_calib.types import Board, PlacedView
+
+
+def bundle(
+    views: Sequence[PlacedView],
+    board: Board,
+    priors: Mapping[str, CameraPrior],
+    T_world_color: Mapping[str, FloatArray],
+    reference: str,
+    params: BundleParams | None = None,
+) -> BundleResult:
+    """Solve for everything at once.
+
+    Parameters
+    ----------
+    views : all views; several cameras' views of one frame are of one board pose. Views of an intrinsic recording are
+        frames of their own.
+    priors, T_world_color : by camera; the poses are a start.
+
+    Raises
+    ------
+    CalibrationError
+        The equations are singular, or too few views are left.
+    """
+    params = params or BundleParams()
+    cameras = tuple(priors)
+    depth_range = depth_ranges(views, priors)
+    n_bias = max([N_WEAK_BIAS, *(len(p.bias.coefficients) for p in priors.values() if p.bias is not None)])
+    all_obs, frames = model.observe(views, board, cameras, depth_range, n_bias)
+    state = start(views, frames, all_obs, priors, T_world_color, n_bias)
+    prior = prior_of(state, all_obs, priors, reference, params)
+    weights = variance.initial(all_obs, len(cameras), params.sigma_2d_px, params.k_depth_per_m)
+    obs, dropped, dropped_corners = all_obs, dict[tuple[str, str], str](), 0
+    history: list[Round] = []
+    iterations, settled = 0, False
+    for _ in range(params.max_rounds):
+        solution = solve.minimize(state, obs, board, weights, prior, params.max_iterations, params.tolerance)
+        state, iterations = solution.state, iterations + solution.iterations
+        new = variance.update(state, obs, board, weights, prior, params.huber_sigmas)
+        moved = variance.change(weights, new)
+        weights = new
+        history.append(
+            Round(
+                solution.cost,
+                tuple(weights.sigma_2d_px.tolist()),
+                tuple(weights.k_depth.tolist()),
+                weights.ratio_pixel,
+                weights.ratio_depth,
+                len(dropped),
+            )
+        )
+        if moved < 0.1:  # the scales are known well enough to call something an outlier
+            found = gross.find(state, obs, board, weights, params.max_view_ratio, params.max_depth_sigmas)
+            reasons = {v: why for v, why in found.pixel_views.items()}
+            reasons |= {v: f"depth only: {why}" for v, why in found.depth_views.items()}
+            dropped |= {(views[v].view.camera, views[v].view.frame): why for v, why in reasons.items()}
+            dropped_corners += found.depth_corners
+            if reasons or found.depth_corners:
+                obs = obs.keep(found.has_pixel, found.has_depth)
+                _check_left(obs, cameras, reference, dropped)
+                continue
+        if moved < params.weight_tolerance:
+            settled = True
+            break
+    # what the recording does not determine is held at its prior; the covariance still counts its uncertainty
+    cov = solve.covariance(solve.build(state, obs, board, weights, prior), prior.free)
+    seen = observability.examine(cameras, state, cov, prior)
+    held = replace(prior, free=prior.free & ~seen.undetermined)
+    restart = solve.with_values(state, seen.undetermined, prior)
+    final = solve.minimize(restart, obs, board, weights, held, params.max_iterations, params.tolerance)
+    system = solve.build(final.state, obs, board, weights, prior)
+    cov = solve.covariance(system, prior.free)
+    honest = solve.honest_covariance(system, cov, obs, weights, prior)
+    message = "weights and unknowns settled" if settled else f"the weights still moved after {params.max_rounds} rounds"
+    return BundleResult(
+        cameras,
+        dict(priors),
+        final.state,
+        weights,
+        honest,
+        prior,
+        depth_range,
+        tuple(bool(np.any(all_obs.has_depth[all_obs.camera == i])) for i in range(len(cameras))),
+        tuple(views),
+        frames,
+        obs,
+        dropped,
+        dropped_corners,
+        tuple(history),
+        final.cost,
+        iterations + final.iterations,
+        settled,
+        message,
+        seen,
+        *model.residuals(final.state, obs, board),
+    )
+
+
+def _check_left(
+    obs: Observations, cameras: Sequence[str], reference: str, dropped: Mapping[tuple[str, str], str]
+) -> None:
+    """Every camera must still be joined to the reference by frames that are left."""
+    used = obs.has_pixel.any(axis=1) & obs.shared
+    joined, grown = {cameras.index(reference)}, True
+    while grown:
+        frames = {int(f) for f, c in zip(obs.frame[used], obs.camera[used], strict=True) if int(c) in joined}
+        more = {int(c) for f, c in zip(obs.frame[used], obs.camera[used], strict=True) if int(f) in frames}
+        grown, joined = not more <= joined, joined | more
+    lost = [name for i, name in enumerate(cameras) if i not in joined]
+    if lost:
+        why = "; ".join(
+            f"{camera} frame {frame}: {text}" for (camera, frame), text in dropped.items() if camera in lost
+        )
+        raise CalibrationError(
+            f"{', '.join(lost)}: no view is left that agrees with the other cameras ({why}); five common views are needed. "
+            "Hold the board still while all cameras expose, and film again"
+        )

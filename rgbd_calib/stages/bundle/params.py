@@ -1,0 +1,78 @@
+"""What the bundle is told: settings, and what is known of each camera before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.types import DepthBias
+
+N_WEAK_BIAS = 3
+"""Coefficients of a depth bias that has no recording: offset, scale, curvature."""
+
+
+@dataclass(frozen=True)
+class BundleParams:
+    """Priors where nothing was measured, rules for gross errors, and when to stop."""
+
+    sigma_2d_px: float = 0.2
+    """First guess; estimated from the residuals."""
+    k_depth_per_m: float = 0.002
+    """First guess of k in sigma_z = k z^2, for the mean over a corner's cell; estimated."""
+    free_intrinsics: bool = True
+    free_k3: bool = False
+    free_bow: bool = True
+    bow_sd_m: float = 0.001
+    """Prior of the board's bow: boards are flat to about a millimetre."""
+    weak_focal: float = 0.1
+    """Prior of focal lengths that the recording itself determines, as a share of them: only against a singular matrix."""
+    weak_centre: float = 0.1
+    """The same for the principal point, as a share of the image's width."""
+    weak_distortion: float = 0.5
+    given_focal: float = 0.005
+    """Prior of focal lengths that were given in a file without standard deviations."""
+    given_centre: float = 0.005
+    given_distortion: float = 0.02
+    bias_offset_sd_m: float = 0.010
+    """Prior of the depth's offset without a bias recording."""
+    bias_scale_sd: float = 0.010
+    """Prior of the depth's scale without a bias recording: consumer sensors are good to 1 %."""
+    bias_curvature_sd_per_m: float = 0.005
+    """Prior of the depth bias's quadratic term without a bias recording."""
+    huber_sigmas: float = 3.0
+    max_view_ratio: float = 4.0
+    max_depth_sigmas: float = 5.0
+    max_rounds: int = 20
+    max_iterations: int = 30
+    tolerance: float = 1e-9
+    """Relative change of the cost that ends a minimisation."""
+    weight_tolerance: float = 0.005
+    """Relative change of any sigma that ends the rounds."""
+
+
+@dataclass(frozen=True)
+class CameraPrior:
+    """What is known of a camera before the bundle."""
+
+    intrinsics: Intrinsics
+    intrinsics_sd: FloatArray | None
+    """(9,) standard deviations of a given calibration; None: none are known."""
+    from_views: bool
+    """True where the intrinsics are only a start: the views that they rest on are in the bundle."""
+    bias: DepthBias | None
+    held: Literal["nothing", "lens", "all"] = "nothing"
+    """What is known exactly: intrinsics and depth bias, or the pose too (its start is the pose)."""
+
+
+@dataclass(frozen=True)
+class Round:
+    """Weights after one round."""
+
+    cost: float
+    sigma_2d_px: tuple[float, ...]
+    k_depth: tuple[float, ...]
+    ratio_pixel: float
+    ratio_depth: float
+    dropped_views: int
