@@ -1,0 +1,33 @@
+"""What is wrong with a recording, as sentences with the remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+Kind = Literal[
+    "damaged", "missing", "unsynchronised", "blurred", "moved", "depth late", "not the board", "not found", "no depth",
+    "covered", "overexposed", "underexposed", "not joined", "coverage",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing to mend."""
+
+    kind: Kind
+    cameras: tuple[str, ...]
+    frames: tuple[str, ...]
+    """Empty where it is about whole cameras."""
+    matters: bool
+    """False: advice; a calibration can do without."""
+    sentence: str
+    """Which camera, what was seen, what to do."""
+
+
+def listed(frames: Sequence[str], most: int = 6) -> str:
+    """Frames in words: `frame 000003`, `frames 000001, 000002 and 5 more`."""
+    shown = ", ".join(frames[:most])
+    more = f" and {len(frames) - most} more" if len(frames) > most else ""
+    return f"frame{'s' if len(frames) > 1 else ''} {shown}{more}"
