@@ -70,7 +70,7 @@ def true_choices(rig, boards, views, board, turned=frozenset()):
 @pytest.mark.parametrize("seed", range(3))
 def test_odd_board_on_an_arc(seed):
     rig = arc(4)
-    boards, views, _ = drawn(rig, BOARD, 10, seed)
+    _, views, _ = drawn(rig, BOARD, 10, seed)
     result = associate(posed(views, rig, BOARD), BOARD, "C1", list(rig.cameras))
     check_rough(result, rig)
     assert result.dropped == {}

@@ -37,9 +37,10 @@ def correspond(
             labels.setdefault((placed.view.frame, str(k)), len(labels)) for k in placed.front_corner(board).tolist()
         ]
         columns.append((np.full(len(numbers), cameras.index(name)), np.array(numbers), pixels_px, points_m))
-    camera_of, point_of, pixels, points = (
-        np.concatenate([column[k] for column in columns]) if columns else np.empty((0, 2)) for k in range(4)
-    )
+    if not columns:
+        none, nowhere = np.empty(0, int), np.empty((0, 3))
+        return Correspondences(tuple(cameras), (), none, none, nowhere[:, :2], none, none, nowhere)
+    camera_of, point_of, pixels, points = (np.concatenate([column[k] for column in columns]) for k in range(4))
     seen_twice = np.bincount(point_of, minlength=len(labels))[point_of] >= 2  # parts of a ChArUco board differ
     has_depth = np.isfinite(points[:, 2]) & seen_twice
     return Correspondences(

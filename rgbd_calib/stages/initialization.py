@@ -3,7 +3,8 @@
 The reference stands at the identity. Then, again and again, the camera that shares most features with one already
 placed is placed: 3D points measured by the placed camera against the new one's pixels, by the DLT (the paper, section
 6.1). A DLT needs points that are not coplanar; where they are (one board pose), the homography of their plane gives the
-pose, and measured 3D points of both cameras choose between its two candidates. Without enough 3D points on the placed
+pose, and measured 3D points of both cameras choose between its two candidates. Noise of the depth gives a plane some
+thickness: nearly flat points are tried both ways, and the DLT must be clearly better in the image. Without enough 3D points on the placed
 side the roles are exchanged, and with 3D points on both sides but no pixels the points are aligned rigidly.
 """
 
@@ -19,6 +20,12 @@ from rgbd_calib.geometry import align, camera, plane, resection, se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import Correspondences
+
+NEARLY_FLAT = 0.1
+"""Thickness over extent below which points may be a plane and noise: 5 mm on a board of 15 cm is 0.1 in these terms."""
+
+DLT_HANDICAP = 1.5
+"""The DLT's error counts this often: it has noise to fit where the points are a plane, and is far better where not."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +118,8 @@ def _relative(
     except CalibrationError as error:
         raise CalibrationError(f"{pair}: {error}") from None
     points_a, points_b = (np.array([t.xyz_m[p] for p in both]) for t in (a, b))
-    if np.linalg.svd(points_a - points_a.mean(0), compute_uv=False)[1] < 1e-3:
+    s = np.linalg.svd(points_a - points_a.mean(0), compute_uv=False)
+    if s[1] < resection.MIN_FLATNESS * s[0]:
         raise CalibrationError(
             f"{pair}: the {len(both)} common 3D points are collinear. Use points that are spread out"
         )
@@ -130,21 +138,43 @@ def _resect(
     good = np.all(np.isfinite(rays), axis=1)
     points_a, rays = points_a[good], rays[good]
     s = np.linalg.svd(points_a - points_a.mean(axis=0), compute_uv=False)
+    options = []
     if s[2] >= resection.MIN_FLATNESS * s[0] and len(points_a) >= resection.MIN_DLT_POINTS:
-        return resection.dlt(points_a, rays), "dlt"
+        T_b_a = resection.dlt(points_a, rays)
+        options.append((DLT_HANDICAP * _ray_rms(T_b_a, points_a, rays), T_b_a, "dlt"))
+    if not options or s[2] < NEARLY_FLAT * s[0]:
+        options.append((*_resect_plane(points_a, rays, shared, xyz_a, xyz_b), "homography"))
+    _, T_b_a, method = min(options, key=lambda option: option[0])
+    return T_b_a, method
+
+
+def _resect_plane(
+    points_a: FloatArray,
+    rays: FloatArray,
+    shared: list[int],
+    xyz_a: dict[int, FloatArray],
+    xyz_b: dict[int, FloatArray],
+) -> tuple[float, FloatArray]:
+    """RMS in ray units and T_b_a by the homography of the plane through the points, which flattens their noise too."""
     normal, d = plane.fit(points_a)
     x = np.cross(normal, [1.0, 0, 0] if abs(normal[0]) < 0.9 else [0, 1.0, 0])
     x /= np.linalg.norm(x)
     T_a_plane = se3.make(np.stack([x, np.cross(normal, x), normal], axis=1), normal * d)
     on_plane = se3.transform(se3.inverse(T_a_plane), points_a)
-    poses, _ = resection.homography_pose(on_plane[:, :2], rays)
+    poses, rms = resection.homography_pose(on_plane[:, :2], rays)
     T_b_a = poses @ se3.inverse(T_a_plane)
     seen = [p for p in shared if p in xyz_b]
     if len(poses) > 1 and len(seen) >= 4:
         pa, pb = np.array([xyz_a[p] for p in seen]), np.array([xyz_b[p] for p in seen])
         spread = [np.median(np.linalg.norm(se3.transform(T, pa) - pb, axis=1)) for T in T_b_a]
-        return T_b_a[int(np.argmin(spread))], "homography"
-    return T_b_a[0], "homography"
+        best = int(np.argmin(spread))
+        return float(rms[best]), T_b_a[best]
+    return float(rms[0]), T_b_a[0]
+
+
+def _ray_rms(T_b_a: FloatArray, points_a: FloatArray, rays: FloatArray) -> float:
+    p = se3.transform(T_b_a, points_a)
+    return float(np.sqrt(np.mean(np.sum((p[:, :2] / p[:, 2:] - rays[:, :2]) ** 2, axis=1))))
 
 
 def _not_connected(
