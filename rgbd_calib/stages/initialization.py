@@ -4,8 +4,9 @@ The reference stands at the identity. Then, again and again, the camera that sha
 placed is placed: 3D points measured by the placed camera against the new one's pixels, by the DLT (the paper, section
 6.1). A DLT needs points that are not coplanar; where they are (one board pose), the homography of their plane gives the
 pose, and measured 3D points of both cameras choose between its two candidates. Noise of the depth gives a plane some
-thickness: nearly flat points are tried both ways, and the DLT must be clearly better in the image. Without enough 3D points on the placed
-side the roles are exchanged, and with 3D points on both sides but no pixels the points are aligned rigidly.
+thickness: nearly flat points are tried both ways, and the DLT must be clearly better in the image. Without enough 3D
+points on the placed side the roles are exchanged, and with 3D points on both sides but no pixels the points are aligned
+rigidly.
 """
 
 from __future__ import annotations
@@ -166,7 +167,9 @@ def _resect_plane(
     seen = [p for p in shared if p in xyz_b]
     if len(poses) > 1 and len(seen) >= 4:
         pa, pb = np.array([xyz_a[p] for p in seen]), np.array([xyz_b[p] for p in seen])
-        spread = [np.median(np.linalg.norm(se3.transform(T, pa) - pb, axis=1)) for T in T_b_a]
+        # the slopes differ between the two; a common offset is the pixels' own error of the distance
+        off = [se3.transform(T, pa) - pb for T in T_b_a]
+        spread = [np.median(np.linalg.norm(d - np.median(d, axis=0), axis=1)) for d in off]
         best = int(np.argmin(spread))
         return float(rms[best]), T_b_a[best]
     return float(rms[0]), T_b_a[0]
