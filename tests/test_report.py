@@ -302,3 +302,15 @@ def test_cells_of_the_image_hold_their_mean():
     assert np.isnan(cells.rms_px[3, 3]) and cells.count.sum() == n
     bins = numbers.over_distance(left)
     assert len(bins.depth_m) == 1 and bins.mean_depth_m[0] == pytest.approx(1e-3)
+
+
+def test_poses_alone_are_called_a_lower_bound_and_no_covariance_is_fair_at_best():
+    pairs = {"C1 - C2": {"mean_mm": 0.1}}
+    expected = {"mean_mm": 0.1, "of": "poses alone; intrinsics and depth taken as exact", "pairs": pairs}
+    measured = {"all": {"median_mm": 4.0}}
+    verdict = judge({"expected_alignment": expected, "alignment_on_recording": measured}, ())
+    assert verdict.level == "good"
+    assert "4.0 mm" in verdict.headline and "0.10 mm" not in verdict.headline
+    assert any("the real error is larger" in reason for reason in verdict.reasons)
+    assert judge({"alignment_on_recording": measured}, ()).level == "fair"
+    assert judge({}, ()).level == "unknown"

@@ -177,7 +177,7 @@ def command(
     if report is not None:
         from rgbd_calib.pipeline.report import write_report
 
-        say(f"Wrote {write_report(report, output.stem, result.rig, result.boards, result.residuals, opened)}")
+        say(f"Wrote {write_report(report, output.name, result.rig, result.boards, result.residuals, opened)}")
 
 
 def describe(quality: dict) -> list[str]:

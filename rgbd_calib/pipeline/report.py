@@ -62,7 +62,7 @@ def report_of_file(path: Path, recording: Path | None, depth_bias: Path | None, 
             f"The clouds are not shown: the recording {named or ''} is not there. Say where it is: "
             f"`rgbd-calib report {path} --recording DIR -o {folder}`."
         )
-    return write_report(folder, path.stem, rig, read_boards(path), left, opened, missing)
+    return write_report(folder, path.name, rig, read_boards(path), left, opened, missing)
 
 
 def write_report(
@@ -126,12 +126,12 @@ def _frame(recording: Recording, rig: Rig, boards: Mapping[str, FloatArray]) -> 
     fullest = fuse.fullest_frame(recording, cameras)
     count = {f: sum(recording.has_depth(c, f) for c in cameras) for f in recording.frames}
     with_board = [f for f in recording.frames if f in boards and count[f] == count[fullest]]
-    return max(with_board, key=lambda f: _seen_from_aside(rig, boards[f]), default=fullest)
+    return max(with_board, key=lambda f: _facing(rig, boards[f]), default=fullest)
 
 
-def _seen_from_aside(rig: Rig, T_world_board: FloatArray) -> float:
+def _facing(rig: Rig, T_world_board: FloatArray) -> float:
     """How many cameras look at the board's front, rather than along it or at its back: sum of their cosines."""
-    return float(sum(max(0.0, own.T_world_color[:3, 2] @ T_world_board[:3, 2]) for own in rig.cameras.values()))
+    return sum(max(0.0, float(own.T_world_color[:3, 2] @ T_world_board[:3, 2])) for own in rig.cameras.values())
 
 
 def _farthest_m(rig: Rig, boards: Mapping[str, FloatArray]) -> float:

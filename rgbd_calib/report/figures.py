@@ -32,7 +32,9 @@ def css_color(index: int) -> str:
 def plain(values: Any) -> list[Any]:
     """Numbers of any shape as lists for JSON; NaN becomes None."""
     array = np.asarray(values, float)
-    return np.where(np.isfinite(array), array, None).tolist()
+    out = array.astype(object)
+    out[~np.isfinite(array)] = None
+    return list(out.tolist())
 
 
 def coverage_map(coverage: CameraCoverage) -> Figure:
@@ -256,7 +258,7 @@ def pair_graph(cameras: Sequence[str], pairs: Sequence[Mapping[str, Any]]) -> Fi
 
 def rounds(history: Sequence[Mapping[str, Any]], key: str, what: str, factor: float, cameras: Sequence[str]) -> Figure:
     """One number over the rounds of weights, by camera where it is so."""
-    n = np.arange(1, len(history) + 1)
+    n = np.arange(1.0, len(history) + 1)
     by_camera = isinstance(history[-1].get(key), Mapping)
     series = {name: [row[key].get(name, np.nan) for row in history] for name in cameras} if by_camera else {}
     if not by_camera:

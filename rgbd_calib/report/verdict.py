@@ -37,10 +37,14 @@ def judge(quality: Mapping[str, Any], missing: Sequence[str], depth_noise_mm: fl
             f"Expected error, from how well the recording determines every parameter: {_mm(expected['mean_mm'])} in the "
             f"mean over the working volume ({levels[-1]})."
         )
-        if expected["of"].startswith("poses alone"):
+        if _lower_bound(expected):
             reasons.append(
-                "It counts the poses alone: intrinsics and depth were taken as exact, so the real error is larger."
+                "That counts the poses alone, intrinsics and depth taken as exact: the real error is larger. The method "
+                "`bundle` counts all of them."
             )
+    elif "median_mm" in measured:
+        levels.append("fair")
+        reasons.append("This method does not tell how sure its poses are, so it is fair at best.")
     if "median_mm" in measured:
         levels.append(_level(measured["median_mm"], NOISE_FACTOR))
         reasons.append(
@@ -67,6 +71,10 @@ def judge(quality: Mapping[str, Any], missing: Sequence[str], depth_noise_mm: fl
     return Verdict(level, _headline(level, expected, measured), tuple(reasons), tuple(steps))
 
 
+def _lower_bound(expected: Mapping[str, Any]) -> bool:
+    return str(expected["of"]).startswith("poses alone")
+
+
 def _mm(value: float) -> str:
     return f"{value:.1f} mm" if value >= 1 else f"{value:.2f} mm"
 
@@ -76,8 +84,9 @@ def _level(mm: float, factor: float) -> Level:
 
 
 def _headline(level: Level, expected: Mapping[str, Any] | None, measured: Mapping[str, Any]) -> str:
-    if expected:
-        number = f"two cameras are expected to put the same point {_mm(expected['mean_mm'])} apart"
+    if expected and not (_lower_bound(expected) and "median_mm" in measured):
+        number = f"two cameras are expected to put the same point {_mm(expected['mean_mm'])} apart "
+        number += "inside the volume that the boards went through"
     elif "median_mm" in measured:
         number = f"two cameras put the same point {_mm(measured['median_mm'])} apart, sensor noise included"
     else:
@@ -88,12 +97,7 @@ def _headline(level: Level, expected: Mapping[str, Any] | None, measured: Mappin
         "poor": "Poor: do not use it yet.",
         "unknown": "Unknown.",
     }
-    where = " inside the volume that the boards went through" if expected else ""
-    return (
-        f"{words[level]} On average, {number}{where}."
-        if level != "unknown"
-        else f"{words[level]} {number.capitalize()}."
-    )
+    return f"{words[level]} On average, {number}." if level != "unknown" else f"{words[level]} {number.capitalize()}."
 
 
 def _weaknesses(quality: Mapping[str, Any]) -> tuple[list[str], list[str]]:
