@@ -195,7 +195,7 @@ def _check_board(
     findings = doctor.check_exposure(images, measures, params)
     shift_m: dict[Key, float] = {}
     unfit: dict[Key, str] = {}
-    missed: dict[Key, float] = {}
+    missed: dict[Key, tuple[float, bool]] = {}
     for group in [] if alone else _groups(list(recording.cameras), views):
         try:
             mine = [p for p in posed if p.view.camera in group]
@@ -207,7 +207,7 @@ def _check_board(
         shift_m |= poses.shift_m
         unfit |= found.dropped
         missed |= _expected(recording, poses, lenses, board, set(images) - set(measures))
-    findings += doctor.check_consistency(shift_m, unfit, params)
+    findings += doctor.check_consistency(shift_m, unfit, list(measures), params)
     findings += doctor.check_sharpness(measures, missed, params)
     offsets = {k: o for k, o in _depth_offsets(posed, board).items() if k not in unfit}
     findings += doctor.check_depth(measures, offsets, params)
@@ -259,28 +259,29 @@ def _expected(
     lenses: Mapping[str, Intrinsics],
     board: Board,
     without: set[Key],
-) -> dict[Key, float]:
-    """Texture where the board must be, of images in which it was not found though it lies well inside."""
+) -> dict[Key, tuple[float, bool]]:
+    """Texture where the board must be, of images in which it was not found, and whether it should have been."""
     out = {}
     low, high = -_MARGIN_SQUARES, np.array([board.cols, board.rows]) - 1 + _MARGIN_SQUARES
+    rim = np.array([[low, low, 0], [high[0], low, 0], [high[0], high[1], 0], [low, high[1], 0]]) * board.square_m
     for camera, frame in sorted(without):
         if camera not in poses.T_world_color or frame not in poses.T_world_board:
             continue
         own = lenses[camera]
         T_color_board = se3.inverse(poses.T_world_color[camera]) @ poses.T_world_board[frame]
-        rim = np.array([[low, low], [high[0], low], [high[0], high[1]], [low, high[1]]]) * board.square_m
-        p = se3.transform(T_color_board, np.column_stack([rim, np.full(4, board.thickness_m / 2)]))
+        p = se3.transform(T_color_board, rim)
         middle = p.mean(axis=0)
         facing = float(T_color_board[:3, 2] @ middle / np.linalg.norm(middle))  # positive: the front is seen
-        if p[:, 2].min() < 0.2 or abs(facing) < _MIN_COS or (facing < 0 and not board.two_sided):
+        if p[:, 2].min() < 0.2 or (facing < 0 and not board.two_sided):
             continue
-        px = lens.project(own.vector, p)
-        corners = lens.project(own.vector, se3.transform(T_color_board, board.corners_m()))
-        side = float(np.linalg.norm(corners[1] - corners[0]))
-        inside = np.all((px > 0) & (px < np.array([own.width, own.height]) - 1))
-        if inside and side >= _MIN_SQUARE_PX and np.linalg.norm(corners[board.cols] - corners[0]) >= _MIN_SQUARE_PX:
-            gray = cv2.cvtColor(recording.color(camera, frame), cv2.COLOR_BGR2GRAY)
-            out[camera, frame] = doctor.texture_of(gray, doctor.hull_mask(gray.shape[:2], corners), side)
+        size = np.array([own.width, own.height])
+        px, corners = (lens.project(own.vector, x) for x in (p, se3.transform(T_color_board, board.corners_m())))
+        side = min(float(np.linalg.norm(corners[k] - corners[0])) for k in (1, board.cols))
+        if side < _MIN_SQUARE_PX or np.any(corners < 0) or np.any(corners > size - 1):
+            continue
+        gray = cv2.cvtColor(recording.color(camera, frame), cv2.COLOR_BGR2GRAY)
+        texture = doctor.texture_of(gray, doctor.hull_mask(gray.shape[:2], corners), side)
+        out[camera, frame] = (texture, bool(np.all((px > 0) & (px < size - 1)) and abs(facing) > _MIN_COS))
     return out
 
 

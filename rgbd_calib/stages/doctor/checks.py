@@ -42,6 +42,8 @@ class DoctorParams:
     """And as a share of the distance."""
     max_shift_ratio: float = 5.0
     """Board against the other cameras' board: over the median of all views."""
+    max_own_shift_ratio: float = 2.5
+    """And over the median of the camera: a lens that is known badly shifts all of its views."""
     max_shift_m: float = 0.005
     max_depth_offset_m: float = 0.010
     """And in metres: less is within what depth is off by in one place of the image or another."""
@@ -134,11 +136,11 @@ def check_exposure(
 
 
 def check_sharpness(
-    views: Mapping[Key, ViewMeasures], missed: Mapping[Key, float], params: DoctorParams
+    views: Mapping[Key, ViewMeasures], missed: Mapping[Key, tuple[float, bool]], params: DoctorParams
 ) -> list[Finding]:
     """Views that are blurred against the camera's others, and boards that should be seen and were not found.
 
-    `missed` has the texture where each board should be.
+    `missed` has the texture where a board must be by the other cameras, and whether it lies well inside the image.
     """
     blurred: list[Key] = []
     lost: list[Key] = []
@@ -149,9 +151,11 @@ def check_sharpness(
         for key, m in mine.items():
             if m.edge_px > max(params.max_edge_ratio * usual, usual + params.max_edge_px):
                 blurred.append(key)
-        for key, texture in missed.items():
-            if key[0] == camera:
-                (blurred if texture < params.max_texture_ratio * usual_texture else lost).append(key)
+        for key, (texture, whole) in missed.items():
+            if key[0] == camera and texture < params.max_texture_ratio * usual_texture:
+                blurred.append(key)
+            elif key[0] == camera and whole:
+                lost.append(key)
     findings = _by_camera(
         "blurred", blurred, "the board is blurred. Hold it still while all cameras expose, more light"
     )
@@ -220,33 +224,50 @@ def check_depth(
     ]
 
 
-def check_consistency(shift_m: Mapping[Key, float], unfit: Mapping[Key, str], params: DoctorParams) -> list[Finding]:
+def check_consistency(
+    shift_m: Mapping[Key, float], unfit: Mapping[Key, str], views: Sequence[Key], params: DoctorParams
+) -> list[Finding]:
     """Views that put the board elsewhere than the other cameras do, and views whose board fits in no reading."""
     findings = []
     usual = float(np.median(list(shift_m.values()))) if shift_m else 0.0
-    limit = max(params.max_shift_m, params.max_shift_ratio * usual)
+    own = {c: float(np.median([d for (b, _), d in shift_m.items() if b == c])) for c, _ in shift_m}
+    everywhere = max(params.max_shift_m, params.max_shift_ratio * usual)
+    limit = {c: max(everywhere, params.max_own_shift_ratio * d) for c, d in own.items()}
     frames: dict[str, list[str]] = {}
     for camera, frame in shift_m:
         frames.setdefault(frame, []).append(camera)
-    for frame, cameras in sorted(frames.items()):
-        off = [c for c in cameras if shift_m[c, frame] > limit]
-        if not off:
-            continue
-        worst = max(off, key=lambda c: shift_m[c, frame])
-        named = tuple(cameras) if len(cameras) == 2 else (worst,)
+    moved: dict[tuple[str, ...], dict[str, float]] = {}
+    for frame, cameras in frames.items():
+        off = [c for c in cameras if shift_m[c, frame] > limit[c]]
+        if off:
+            worst = max(off, key=lambda c: shift_m[c, frame])
+            named = tuple(sorted(cameras)) if len(cameras) == 2 else (worst,)
+            moved.setdefault(named, {})[frame] = shift_m[worst, frame]
+    for named, by_frame in sorted(moved.items()):
         text = (
-            f"{' and '.join(named)}: in frame {frame} the board is {1e3 * shift_m[worst, frame]:.0f} mm from where "
-            f"{'the other sees' if len(cameras) == 2 else 'the others see'} it ({1e3 * usual:.1f} mm are usual here): it moved "
-            "between the shots. Hold it still until all cameras have exposed, or delete the frame"
+            f"{' or '.join(named)}: in {listed(sorted(by_frame))} the board is up to {1e3 * max(by_frame.values()):.0f} mm "
+            f"from where {'the other sees' if len(named) == 2 else 'the others see'} it ({1e3 * usual:.1f} mm are usual here): "
+            "it moved between the shots. Hold it still until all cameras have exposed, or delete these frames"
         )
-        findings.append(Finding("moved", named, (frame,), True, text))
-    for camera in sorted({c for c, _ in unfit}):
-        odd = tuple(sorted(f for c, f in unfit if c == camera))
+        findings.append(Finding("moved", named, tuple(sorted(by_frame)), True, text))
+    seen: dict[str, set[str]] = {}
+    for camera, frame in views:
+        seen.setdefault(frame, set()).add(camera)
+    remedy = (
+        "another pattern, a board turned round, or frames of different instants. Take other patterns out of sight, or "
+        "delete these frames"
+    )
+    # of two cameras nobody can say which one is wrong
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for camera, frame in unfit:
+        groups.setdefault(tuple(sorted(seen[frame])) if len(seen[frame]) == 2 else (camera,), []).append(frame)
+    for group, odd in sorted(groups.items()):
+        odd_frames = tuple(sorted(set(odd)))
+        others = "the other sees" if len(group) == 2 else "the others see"
         text = (
-            f"{camera}: what it shows in {listed(odd)} is not the board where the other cameras see it: another pattern, a "
-            "board turned round, or frames of different instants. Take other patterns out of sight, or delete these frames"
+            f"{' or '.join(group)}: what it shows in {listed(odd_frames)} is not the board where {others} it: {remedy}"
         )
-        findings.append(Finding("not the board", (camera,), odd, True, text))
+        findings.append(Finding("not the board", group, odd_frames, True, text))
     return findings
 
 
