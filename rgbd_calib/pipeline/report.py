@@ -110,7 +110,8 @@ def _pictures(recording: Recording, rig: Rig, boards: Mapping[str, FloatArray]) 
     params = fuse.FuseParams(max_depth_m=_farthest_m(rig, boards))
     clouds = tuple(fuse.clouds_of(recording, one, frame, params) for one in (before(rig), rig))
     pictures = [_edge_on(clouds, rig, boards[frame])] if frame in boards and "board" in rig.quality else []
-    pictures += [_part(clouds, rig, view) for view in VIEWS]
+    focus_m = splat.seen_by_several([cloud.points_m for cloud in clouds[1]])
+    pictures += [_part(clouds, rig, view, focus_m) for view in VIEWS]
     how = rig.quality.get("start", {}).get("poses_from")
     note = f"Frame {frame}. " + (
         f"Before: poses by the {how}, intrinsics as given, depth as reported. After: the calibrated rig."
@@ -146,9 +147,8 @@ def _farthest_m(rig: Rig, boards: Mapping[str, FloatArray]) -> float:
 Clouds = tuple[tuple[fuse.Cloud, ...], ...]
 
 
-def _part(clouds: Clouds, rig: Rig, view: str) -> Picture:
-    """The part of the scene that several cameras see."""
-    focus_m = splat.seen_by_several([cloud.points_m for cloud in clouds[1]])
+def _part(clouds: Clouds, rig: Rig, view: str, focus_m: FloatArray) -> Picture:
+    """The part of the scene that several cameras see, points `focus_m` (n, 3)."""
     low, high = np.percentile(focus_m, [1, 99], axis=0)
     margin = _MARGIN * (high - low)
     in_order = sorted(rig.cameras, key=lambda name: name != rig.reference)
