@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -18,6 +19,7 @@ from rgbd_calib.cli.options import (
     refuse_existing,
     say,
 )
+from rgbd_calib.errors import ConfigError
 
 
 @click.command()
@@ -126,9 +128,10 @@ def command(
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.io.residuals import write_residuals
     from rgbd_calib.io.rig import write_rig
-    from rgbd_calib.pipeline.calibrate import calibrate
+    from rgbd_calib.pipeline.calibrate import calibrate, reference_of
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.detection import detections_from
+    from rgbd_calib.pipeline.prepare import check_sources
     from rgbd_calib.pipeline.world import in_world
 
     opened = open_recording(recording)
@@ -144,6 +147,13 @@ def command(
         refinement__sigma_2d_px=sigma_2d,
         refinement__sigma_3d_m=sigma_3d,
     )
+    if settings.method == "bundle" and not (sigma_2d is None and sigma_3d is None):
+        raise ConfigError(
+            "--sigma-2d, --sigma-3d: given with method bundle, which estimates the noise itself. "
+            "Leave them out, or choose another --method"
+        )
+    reference_of(settings, list(opened.cameras))
+    check_sources(opened, intrinsics, depth_bias)
     found = detections_from(opened, corners, settings.detect, jobs, progress)
     result = calibrate(
         opened,
@@ -180,7 +190,7 @@ def command(
         say(f"Wrote {write_report(report, output.name, result.rig, result.boards, result.residuals, opened)}")
 
 
-def describe(quality: dict) -> list[str]:
+def describe(quality: dict[str, Any]) -> list[str]:
     """What a person at the rig wants to know, from the rig's quality."""
     lines = []
     used, images = quality.get("views_used", {}), quality.get("images", {})

@@ -189,6 +189,7 @@ class RigCameraModel(_Model):
     intrinsics_sd: Annotated[list[Finite], Field(min_length=9, max_length=9)] | None = None
     sigma_2d_px: float | None = None
     sigma_3d_m: float | None = None
+    sigma_3d_model: str | None = None
 
     @model_validator(mode="after")
     def _pose(self) -> RigCameraModel:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import rgbd_calib
-from rgbd_calib.errors import CalibrationError
+from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import plain
 from rgbd_calib.io.recording import Recording
@@ -21,7 +21,7 @@ from rgbd_calib.pipeline import details
 from rgbd_calib.pipeline.config import Config, as_plain
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.pipeline.evaluate import Evaluation, against_views
-from rgbd_calib.pipeline.prepare import IntrinsicsSource, resolve_depth_bias, resolve_intrinsics
+from rgbd_calib.pipeline.prepare import IntrinsicsSource, check_sources, resolve_depth_bias, resolve_intrinsics
 from rgbd_calib.stages.association import AssociationResult, associate
 from rgbd_calib.stages.board_pose import pose_view
 from rgbd_calib.stages.bundle import (
@@ -165,6 +165,7 @@ def prepare_views(
     board = board_of(recording)
     cameras = list(recording.cameras)
     reference = reference_of(config, cameras)
+    check_sources(recording, intrinsics, depth_bias)
     detections = detections or detect(recording, config.detect, jobs, progress)
     lenses = resolve_intrinsics(intrinsics, recording, detections, config, progress, intrinsic_detections)
     biases, bias_origin, samples = resolve_depth_bias(depth_bias, recording, lenses.intrinsics, config, progress)
@@ -181,7 +182,7 @@ def reference_of(config: Config, cameras: Sequence[str]) -> str:
     """The camera whose frame is the world."""
     reference = config.reference or cameras[0]
     if reference not in cameras:
-        raise CalibrationError(f"reference: '{reference}' seen, one of {', '.join(cameras)} needed. Choose one of them")
+        raise ConfigError(f"reference: '{reference}' seen, one of {', '.join(cameras)} needed. Choose one of them")
     return reference
 
 
@@ -284,17 +285,11 @@ def _rig_of_poses(
 
 def _rig_of_refinement(refined: RefinementResult, views: Views, reference: str) -> Rig:
     rig = _rig_of_poses(refined.T_world_color, refined.covariance, views, reference)
-    model = {"sigma_3d_model": "isotropic, for each coordinate"}
-    cameras = {
-        name: replace(
-            own,
-            statistics={
-                **_finite({"sigma_2d_px": refined.sigmas_2d_px[name], "sigma_3d_m": refined.sigmas_3d_m[name]}),
-                **model,
-            },
-        )
-        for name, own in rig.cameras.items()
-    }
+    cameras = {}
+    for name, own in rig.cameras.items():
+        sigmas = _finite({"sigma_2d_px": refined.sigmas_2d_px[name], "sigma_3d_m": refined.sigmas_3d_m[name]})
+        model = {"sigma_3d_model": "isotropic, for each coordinate"} if "sigma_3d_m" in sigmas else {}
+        cameras[name] = replace(own, statistics={**sigmas, **model})
     return replace(rig, cameras=cameras)
 
 

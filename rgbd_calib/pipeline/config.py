@@ -56,6 +56,8 @@ def load_config(path: Path | None, **over: Any) -> Config:
     data = {} if path is None else load_yaml(path)
     where = str(path) if path else "configuration"
     _check_keys(Config, data, where, "")
+    if "method" in data.get("refinement", {}):
+        raise ConfigError(f"{where}: refinement.method: set by `method`, which names all estimators. Move it there")
     for key, value in over.items():
         if value is not None:
             *sections, last = key.split("__")
@@ -73,7 +75,9 @@ def load_config(path: Path | None, **over: Any) -> Config:
 
 def as_plain(config: Config) -> dict[str, Any]:
     """The configuration as nested plain values, to be written beside the result."""
-    return asdict(config)
+    plain = asdict(config)
+    del plain["refinement"]["method"]  # follows `method`
+    return plain
 
 
 def with_method(config: Config, method: Method) -> Config:

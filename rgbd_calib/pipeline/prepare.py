@@ -12,7 +12,7 @@ import numpy as np
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
-from rgbd_calib.io.recording import Recording, open_recording
+from rgbd_calib.io.recording import CameraInfo, Recording, open_recording
 from rgbd_calib.io.rig import read_depth_bias, read_depth_bias_samples, read_intrinsics, read_intrinsics_sd
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
@@ -59,6 +59,31 @@ class IntrinsicsSource:
     """(9,) by camera, where a file has them."""
 
 
+def check_sources(recording: Recording, intrinsics: Path | None, depth_bias: Path | None) -> None:
+    """Open what intrinsics and depth biases shall come from, before the long work.
+
+    Raises
+    ------
+    ConfigError
+        Not there, not readable, lacks a camera of the recording, or is of another image size.
+    """
+    for source, what in ((intrinsics, "intrinsics"), (depth_bias, "depth_bias")):
+        if source is not None and source.is_dir():
+            other = open_recording(source)
+            cameras = [name for name in recording.cameras if what == "intrinsics" or recording.depth_files[name]]
+            _need(source, "images", cameras, other.cameras)
+            for name in cameras:
+                _check_size(source, name, other.cameras[name], recording)
+    if intrinsics is not None and not intrinsics.is_dir():
+        given = read_intrinsics(intrinsics)
+        _need(intrinsics, "intrinsics", list(recording.cameras), given)
+        for name in recording.cameras:
+            _check_size(intrinsics, name, given[name], recording)
+    if depth_bias is not None and not depth_bias.is_dir():
+        cameras = [name for name in recording.cameras if recording.depth_files[name]]
+        _need(depth_bias, "depth_bias", cameras, read_depth_bias(depth_bias))
+
+
 def resolve_intrinsics(
     source: Path | None,
     recording: Recording,
@@ -72,18 +97,15 @@ def resolve_intrinsics(
     `source_detections` are the corners of an intrinsic recording, where they were found before.
     """
     cameras = list(recording.cameras)
+    check_sources(recording, source, None)
     if source is not None and source.is_dir():
         other = open_recording(source)
-        _need(source, "images", cameras, other.cameras)
         found = source_detections or detect(other, config.detect, progress=progress)
         results = intrinsics_of_views(other, found, config, cameras)
         given = {name: result.intrinsics for name, result in results.items()}
         return IntrinsicsSource(given, str(source), results, found.views, {})
     if source is not None:
         given = read_intrinsics(source)
-        _need(source, "intrinsics", cameras, given)
-        for name in cameras:
-            _check_size(source, name, given[name], recording)
         return IntrinsicsSource(
             {name: given[name] for name in cameras}, str(source), {}, (), read_intrinsics_sd(source)
         )
@@ -144,6 +166,7 @@ def resolve_depth_bias(
     """Depth biases by camera, from a file or a bias recording, where they are from, and the data they were fitted to."""
     if source is None:
         return {}, "none", {}
+    check_sources(recording, None, source)
     cameras = [name for name in recording.cameras if recording.depth_files[name]]
     if source.is_dir():
         fits = depth_bias_of_recording(open_recording(source), intrinsics, config, progress=progress)
@@ -151,7 +174,7 @@ def resolve_depth_bias(
         samples = {name: samples_of(fit) for name, fit in fits.items()}
     else:
         given, samples = read_depth_bias(source), read_depth_bias_samples(source)
-    _need(source, "depth_bias", cameras, given)
+    _need(source, "depth_bias", cameras, given)  # one without depth images in a bias recording has none
     return {name: given[name] for name in cameras}, str(source), samples
 
 
@@ -203,10 +226,10 @@ def _need(source: Path, what: str, cameras: Sequence[str], given: Mapping[str, A
         )
 
 
-def _check_size(source: Path, name: str, intrinsics: Intrinsics, recording: Recording) -> None:
+def _check_size(source: Path, name: str, other: Intrinsics | CameraInfo, recording: Recording) -> None:
     info = recording.cameras[name]
-    if (intrinsics.width, intrinsics.height) != (info.width, info.height):
+    if (other.width, other.height) != (info.width, info.height):
         raise ConfigError(
-            f"{source}: {name}: intrinsics for {intrinsics.width}x{intrinsics.height} px, the recording has "
+            f"{source}: {name}: for images of {other.width}x{other.height} px, the recording has "
             f"{info.width}x{info.height}; the same size is needed. Calibrate the camera at this size"
         )
