@@ -13,8 +13,8 @@ from rgbd_calib.types import Board, IntArray
 LOOK_AT = 3
 """So many times the board's corners are looked at by the quick look, the strongest first."""
 LOOKS_LIKE = 0.6
-"""Share of the board's corners that the quick look must see. Every view of squares of 6 px or more in the simulated and
-the real recordings has 0.85 or more; without the board 0.52 at most (scripts/benchmark_detection.py)."""
+"""Share of the board's corners that the quick look must see. All views of the simulated and real recordings that any
+finder of OpenCV finds have it; with the board painted over, 0.52 is the most (scripts/benchmark_detection.py)."""
 ALTERNATE = 0.9
 """Share of the pairs of squares side by side that must change from dark to bright in the board's order."""
 
