@@ -48,7 +48,7 @@ def bundle(
     weights = variance.initial(all_obs, len(cameras), params.sigma_2d_px, params.k_depth_per_m)
     obs, dropped, dropped_corners = all_obs, dict[tuple[str, str], str](), 0
     history: list[Round] = []
-    iterations, settled = 0, False
+    iterations, settled, taken_back = 0, False, False
     for _ in range(params.max_rounds):
         solution = solve.minimize(state, obs, board, weights, prior, params.max_iterations, params.tolerance)
         state, iterations = solution.state, iterations + solution.iterations
@@ -76,6 +76,16 @@ def bundle(
                 _check_left(obs, cameras, reference, dropped)
                 continue
         if moved < params.weight_tolerance:
+            if dropped and not taken_back:
+                taken_back = True
+                limits = params.max_view_ratio, params.max_depth_sigmas
+                obs, back = gross.take_back(state, obs, all_obs, board, weights, *limits)
+                dropped = {
+                    key: why
+                    for key, why in dropped.items()
+                    if key not in {(views[v].view.camera, views[v].view.frame) for v in back}
+                }
+                continue
             settled = True
             break
     # what the recording does not determine is held at its prior; the covariance still counts its uncertainty

@@ -3,7 +3,8 @@
 After each solution, for every view: its RMS off the pose part, and the size of its pose part, for pixels and for depth,
 each in sigmas. A view's pixels go where one of them exceeds `max_view_ratio` times the median of all views of that kind,
 and its depth goes likewise; of the views of one frame only the worst goes at a time, since the others may just be
-pulled by it. A single depth goes beyond `max_sigmas`. Then the bundle is solved again, until nothing is dropped.
+pulled by it. A single depth goes beyond `max_sigmas`. Then the bundle is solved again, until nothing is dropped. What
+then fits after all, within half of the limits, was pulled by another view and is taken back, once.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.stages.bundle import model
+from rgbd_calib.stages.bundle import model, variance
 from rgbd_calib.stages.bundle.model import Observations, State
 from rgbd_calib.stages.bundle.solve import Weights
 from rgbd_calib.types import Board, IntArray
@@ -34,26 +35,76 @@ def find(
     state: State, obs: Observations, board: Board, weights: Weights, max_view_ratio: float, max_sigmas: float
 ) -> Dropped:
     """What to drop at a solution."""
-    pixel, depth = model.residuals(state, obs, board)
-    V = len(obs.camera)
-    r2 = (pixel / weights.sigma_2d_px[obs.camera, None, None]).reshape(V, -1)
-    r3 = depth / weights.k_depth[obs.camera, None]
-    off2, pose2 = _split(r2, weights.Q_pixel)
-    off3, pose3 = _split(r3, weights.Q_depth)
-    n2, n3 = 2 * obs.has_pixel.sum(axis=1), obs.has_depth.sum(axis=1)
-    bad_pixel = _beyond(_rms(off2, n2), n2 > 0, obs, max_view_ratio, "RMS of its corners", in_frame=False)
-    bad_pixel |= _beyond(_rms(pose2, n2), (n2 > 0) & obs.shared, obs, max_view_ratio, "shift against the other cameras")
-    bad_depth = _beyond(_rms(off3, n3), n3 > 0, obs, max_view_ratio, "scatter of its depth", in_frame=False)
-    bad_depth |= _beyond(_rms(pose3, n3), n3 > 0, obs, max_view_ratio, "offset of its depth")
+    sizes = _sizes(state, obs, board, weights)
+    n2, n3 = (np.asarray(mask.any(axis=1)) for mask in (obs.has_pixel, obs.has_depth))
+    bad_pixel = _beyond(sizes.off_pixel, n2, obs, max_view_ratio, "RMS of its corners", in_frame=False)
+    bad_pixel |= _beyond(sizes.pose_pixel, n2 & obs.shared, obs, max_view_ratio, "shift against the other cameras")
+    bad_depth = _beyond(sizes.off_depth, n3, obs, max_view_ratio, "scatter of its depth", in_frame=False)
+    bad_depth |= _beyond(sizes.pose_depth, n3, obs, max_view_ratio, "offset of its depth")
     bad_depth = {v: why for v, why in bad_depth.items() if v not in bad_pixel}
 
-    corner = np.abs(off3) > max_sigmas
+    corner = np.abs(sizes.corner_depth) > max_sigmas
     has_pixel, has_depth = obs.has_pixel.copy(), obs.has_depth & ~corner
     has_pixel[list(bad_pixel)] = False
     has_depth[[*bad_pixel, *bad_depth]] = False
-    kept = np.ones(V, bool)
+    kept = np.ones(len(obs.camera), bool)
     kept[[*bad_pixel, *bad_depth]] = False
     return Dropped(has_pixel, has_depth, bad_pixel, bad_depth, int((corner & obs.has_depth)[kept].sum()))
+
+
+def take_back(
+    state: State,
+    used: Observations,
+    everything: Observations,
+    board: Board,
+    weights: Weights,
+    max_view_ratio: float,
+    max_sigmas: float,
+) -> tuple[Observations, list[int]]:
+    """Observations with the dropped views that fit after all, and which views those are."""
+    now, sizes = _sizes(state, used, board, weights), _sizes(state, everything, board, weights)
+    kept2, kept3 = (np.asarray(mask.any(axis=1)) for mask in (used.has_pixel, used.has_depth))
+    anchored = np.isin(used.frame, used.frame[kept2])  # the board is still posed by another view
+    limit = max_view_ratio / 2
+    fits2 = _below(sizes.off_pixel, now.off_pixel[kept2], limit) & _below(
+        sizes.pose_pixel, now.pose_pixel[kept2 & used.shared], limit
+    )
+    fits3 = _below(sizes.off_depth, now.off_depth[kept3], limit) & _below(
+        sizes.pose_depth, now.pose_depth[kept3], limit
+    )
+    back2 = ~kept2 & anchored & fits2 & everything.has_pixel.any(axis=1)
+    back3 = ~kept3 & (kept2 | back2) & fits3 & everything.has_depth.any(axis=1)
+    has_pixel, has_depth = used.has_pixel.copy(), used.has_depth.copy()
+    has_pixel[back2] = everything.has_pixel[back2]
+    has_depth[back3] = everything.has_depth[back3] & (np.abs(sizes.corner_depth[back3]) <= max_sigmas)
+    # a view comes back whole, or, where only its depth had gone, with its depth
+    whole = back2 & (back3 | ~everything.has_depth.any(axis=1))
+    return used.keep(has_pixel, has_depth), [int(v) for v in np.flatnonzero(whole | (back3 & kept2))]
+
+
+@dataclass(frozen=True)
+class _Sizes:
+    """How large each view's residuals are, in sigmas, (V,) each, and single depths (V, N) off the pose part."""
+
+    off_pixel: FloatArray
+    pose_pixel: FloatArray
+    off_depth: FloatArray
+    pose_depth: FloatArray
+    corner_depth: FloatArray
+
+
+def _sizes(state: State, obs: Observations, board: Board, weights: Weights) -> _Sizes:
+    pixel, depth = model.residuals(state, obs, board)
+    Q_pixel, Q_depth = variance.pose_parts(state, obs, board)
+    r2 = (pixel / weights.sigma_2d_px[obs.camera, None, None]).reshape(len(obs.camera), -1)
+    off2, pose2 = _split(r2, Q_pixel)
+    off3, pose3 = _split(depth / weights.k_depth[obs.camera, None], Q_depth)
+    n2, n3 = 2 * obs.has_pixel.sum(axis=1), obs.has_depth.sum(axis=1)
+    return _Sizes(_rms(off2, n2), _rms(pose2, n2), _rms(off3, n3), _rms(pose3, n3), off3)
+
+
+def _below(size: FloatArray, kept: FloatArray, ratio: float) -> IntArray:
+    return np.asarray(size <= ratio * (float(np.median(kept)) if len(kept) else 0.0))
 
 
 def _split(r: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -64,7 +64,7 @@ def update(state: State, obs: Observations, board: Board, weights: Weights, prio
         _ratio(squares[part], redundancy[part], factor[obs.camera]) for part, factor in ((1, factor2), (3, factor3))
     )
     sigma_2d_px, k_depth = weights.sigma_2d_px * np.sqrt(factor2), weights.k_depth * np.sqrt(factor3)
-    Q_pixel, Q_depth = _pose_parts(state, obs, board)
+    Q_pixel, Q_depth = pose_parts(state, obs, board)
     pixel, depth = model.residuals(state, obs, board)
     robust_pixel = _huber(_off_pose(pixel, Q_pixel) / sigma_2d_px[obs.camera, None, None], huber)
     robust_depth = _huber(_off_pose(depth[..., None], Q_depth) / k_depth[obs.camera, None, None], huber)
@@ -93,7 +93,7 @@ def _ratio(squares: FloatArray, redundancy: FloatArray, factor: FloatArray) -> f
     return max(1.0, float(np.sqrt(np.sum(squares / factor) / left)))
 
 
-def _pose_parts(state: State, obs: Observations, board: Board) -> tuple[FloatArray, FloatArray]:
+def pose_parts(state: State, obs: Observations, board: Board) -> tuple[FloatArray, FloatArray]:
     """Orthonormal bases of what a change of the board's pose does to a view's pixels (6) and to its depth (3)."""
     lin = model.linearize(state, obs, board)
     V, N = obs.has_pixel.shape
