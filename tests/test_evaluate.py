@@ -145,7 +145,7 @@ def test_colour_only_views_have_a_transfer_error_alone():
 def test_nothing_in_common():
     rng = np.random.default_rng(5)
     views = [v for v in true_views(RIG, BOARDS, BOARD, EXACT, rng) if v.camera == "C1"]
-    with pytest.raises(CalibrationError, match="no frame shows the board to two cameras .* Film the board between"):
+    with pytest.raises(CalibrationError, match=r"no frame shows the board to two cameras .* Film the board between"):
         against_views(RIG, placed_truly(RIG, BOARDS, views, BOARD), BOARD)
 
 

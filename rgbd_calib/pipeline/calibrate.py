@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import rgbd_calib
-from rgbd_calib.errors import ConfigError
+from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import plain
 from rgbd_calib.io.recording import Recording
@@ -165,6 +165,11 @@ def prepare_views(
     board = board_of(recording)
     cameras = list(recording.cameras)
     reference = reference_of(config, cameras)
+    if len(cameras) < 2:
+        raise CalibrationError(
+            f"{recording.path}: 1 camera ({cameras[0]}), two or more needed for a rig. Record the board with another camera, "
+            "or calibrate this one alone with `rgbd-calib intrinsics` and `rgbd-calib depth-bias`"
+        )
     check_sources(recording, intrinsics, depth_bias)
     detections = detections or detect(recording, config.detect, jobs, progress)
     lenses = resolve_intrinsics(intrinsics, recording, detections, config, progress, intrinsic_detections)

@@ -104,6 +104,8 @@ def detections_from(
     if corners is None:
         return detect(recording, params, jobs, progress)
     views, board = read_corners(corners), board_of(recording)
+    if not views:
+        raise ConfigError(f"{corners}: no corners in it. Detect again with `rgbd-calib detect {recording.path}`")
     for view in views:
         if view.frame not in recording.color_files.get(view.camera, {}):
             raise ConfigError(

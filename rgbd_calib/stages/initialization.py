@@ -61,10 +61,15 @@ def initialize(
     Raises
     ------
     CalibrationError
-        A camera shares too few features with the others (names the groups and which pair to film), or the features of
+        One camera only, a camera shares too few features with the others (names the groups and which pair to film), or the features of
         a pair do not determine a pose.
     """
     params = params or InitializationParams()
+    if len(data.cameras) < 2:
+        raise CalibrationError(
+            f"{len(data.cameras)} camera ({', '.join(data.cameras)}), two or more needed. "
+            "Record the same board or scene with another camera"
+        )
     tables = _tables(data)
     placed = {reference: np.eye(4)}
     steps: list[Step] = []

@@ -126,9 +126,16 @@ def _solve(
     object_points = [corners_m[view.ids].astype(np.float32) for view in views]
     image_points = [view.corners_px.astype(np.float32) for view in views]
     start = (None, None) if guess is None else (Intrinsics(*size, 1, 1, 0, 0).with_vector(guess).K, guess[4:].copy())
-    rms, K, distortion, _, _, sd, _, per_view = cv2.calibrateCameraExtended(
-        object_points, image_points, size, *start, flags=flags
-    )  # type: ignore[call-overload]
+    threads_before = cv2.getNumThreads()
+    cv2.setNumThreads(
+        1
+    )  # several add up the normal equations in the order in which they finish: other last digits each time
+    try:
+        rms, K, distortion, _, _, sd, _, per_view = cv2.calibrateCameraExtended(
+            object_points, image_points, size, *start, flags=flags
+        )  # type: ignore[call-overload]
+    finally:
+        cv2.setNumThreads(threads_before)
     k1, k2, p1, p2, k3 = distortion.ravel()[:5]
     sd = sd.ravel()
     vector = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], k1, k2, p1, p2, k3])
