@@ -18,6 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.correspondences import read_corners, write_corners
 from rgbd_calib.io.recording import Recording, open_recording, save_color, save_depth, write_table
 from rgbd_calib.pipeline.config import Config
@@ -159,7 +160,7 @@ def search_again(source: Recording, r: Recording, views: Views, out: Path) -> No
         try:
             depth = r.depth_m(*key) if r.has_depth(*key) else None
             view = detect_view(*key, r.color(*key), depth, r.board, DetectParams())
-        except Exception:  # damaged: doctor will say so
+        except ConfigError:  # damaged: doctor will say so
             view = None
         kept += [] if view is None else [view]
     write_corners(out, kept)

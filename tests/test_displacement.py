@@ -67,7 +67,7 @@ def check(now, rig, seed=0, frames=5, noise=NOISE, spoil=None, params=LIMITS):
     return verify_views(rig, views, BOARD, tuple(rig.cameras), Config(), params)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_rig_that_stood_still_holds(seed):
     result = check(arc(), arc(), seed)
     assert result.verdict.holds and not result.verdict.moved
@@ -142,14 +142,14 @@ def test_a_larger_limit_lets_pass():
 
 
 def test_the_covariance_of_the_poses_is_honest():
-    """Mean of e' C^-1 e over 40 runs of 18 degrees of freedom each: 1 +- 5 sqrt(2 / 720) if C were known.
+    """Mean of e' C^-1 e over 20 runs of 18 degrees of freedom each: 1 +- 5 sqrt(2 / 360) if C were known.
 
     C rests on sigmas estimated from the views themselves, and views with less than 1 in noise are never trusted
     more than assumed (the factor is at least 1): the claim may be up to 1.5 times too wide, in deviations.
     """
     rig, total, degrees = arc(), 0.0, 0
     T_world_color = {name: own.T_world_color for name, own in rig.cameras.items()}
-    for seed in range(40):
+    for seed in range(20):
         rng = np.random.default_rng(100 + seed)
         views = true_views(rig, board_poses(5, rng), BOARD, ViewNoise(), rng)
         posed = [pose_view(v, BOARD, rig.cameras[v.camera].intrinsics, rig.cameras[v.camera].depth_bias) for v in views]

@@ -204,6 +204,9 @@ def _check_board(
             findings.append(Finding("not joined", tuple(group), (), True, str(error)))
             continue
         poses = _poses(found, lenses, board)
+        # a frame that one camera sees says where the others should see the board, too
+        single = {p.view.frame: poses.T_world_color[p.view.camera] @ p.T_color_board for p in found.views}
+        poses = replace(poses, T_world_board=single | poses.T_world_board)
         shift_m |= poses.shift_m
         unfit |= found.dropped
         missed |= _expected(recording, poses, lenses, board, set(images) - set(measures))
