@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import yaml
 
@@ -34,7 +34,8 @@ def write_update(
     lines = text.splitlines(keepends=True)
     if lines and not lines[-1].endswith("\n"):
         lines[-1] += "\n"
-    root = yaml.compose(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    # load_yaml has seen that it is a mapping
+    root = cast(yaml.MappingNode, yaml.compose(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)))
     top = _blocks(root, len(lines), source)
     cameras = next(value for key, value in root.value if key.value == "cameras")
     end = top["cameras"][1]
