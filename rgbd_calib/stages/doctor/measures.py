@@ -108,7 +108,7 @@ def _profile_width(gray: np.ndarray, middle: FloatArray, across: FloatArray) -> 
     step_px = np.linalg.norm(across.reshape(-1, 2), axis=1) * (s[1] - s[0])
     contrast = np.ptp(profile, axis=1)
     slope = np.abs(profile[:, 2:] - profile[:, :-2]).max(axis=1) / (2 * step_px)
-    good = contrast > 20
+    good = contrast > 10
     return float(np.median(contrast[good] / slope[good])) if good.any() else float("nan")
 
 
