@@ -27,11 +27,12 @@ from rgbd_calib.pipeline.evaluate import against_truth
 from rgbd_calib.types import Rig
 
 METHODS = ("init", "ba", "icp", "baicp+", "biobjective", "bundle")
-MAX_MM = {"init": 12.0, "ba": 30.0, "icp": 6.0, "baicp+": 6.0, "biobjective": 4.0, "bundle": 2.0}
-"""Mean alignment over the volume with true lenses, 0.1 px and 2.8 mm of depth at 2 m on each of 12 x 54 corners. A pose
-from all depths is known to 2.8 mm sqrt(2) / sqrt(300) = 0.23 mm in the middle and three times that at the ends, and moves
-nothing by more; `ba` takes its scale from the start. Each with room for chains of three cameras: what a broken stage
-gives is centimetres."""
+MAX_MM = {"init": 5.0, "ba": 5.0, "icp": 1.2, "baicp+": 1.2, "biobjective": 1.2, "bundle": 2.0}
+"""Mean alignment over the volume, with 0.1 px and 2.8 mm of depth at 2 m on about 300 corners a pair. A pose by its depths
+is known to 2.8 mm sqrt(2 / 300) = 0.23 mm in the middle of the board's places and to three times that at their ends, over
+chains of two pairs: 0.4 mm in the mean, three times that. The DLT is several times worse, and gives `ba` its scale. The
+bundle does not believe a lens of a file without standard deviations to more than 0.5 %: its depths give it 0.6 to 1.2 mm in
+larger studies."""
 
 
 @pytest.fixture(scope="module")
@@ -71,8 +72,7 @@ def test_from_nothing_but_the_recording(run, three, tmp_path):
     """Intrinsics from the recording's own views; the depth of a rig whose bias nobody knows."""
     rig = calibrated(run, three, tmp_path / "rig.yaml", given=False)
     assert rig.provenance["intrinsics"] == "the recording's own views"
-    # biases of 2 mm and more are not told from 8 mm of scale at 2 m by a dozen views, the depth bias has its prior
-    assert alignment_mm(rig, three) < 8.0
+    assert alignment_mm(rig, three) < MAX_MM["bundle"]
     for name, camera in rig.cameras.items():
         assert camera.depth_bias is not None, name
 
@@ -177,7 +177,12 @@ def test_refine_by_each_method(run, three, tmp_path, method):
     calibrated(run, three, tmp_path / "rig.yaml", "--method", "init", "--correspondences", c)
     out = run("refine", c, "--intrinsics", three.intrinsics, "--method", method, "-o", tmp_path / "refined.yaml")
     assert out.status == 0, out.stderr
-    assert alignment_mm(read_rig(tmp_path / "refined.yaml"), three) < MAX_MM[method] + 8  # its own file has no bias
+    errors = pose_errors(
+        {n: c.T_world_color for n, c in read_rig(tmp_path / "refined.yaml").cameras.items()}, three.rig
+    )
+    # the alignment's bound, as a turn of cameras 2 m away; the refined file itself knows no depth bias
+    assert max(rotation_rad for rotation_rad, _ in errors.values()) < MAX_MM[method] * 1e-3
+    assert max(shift_m for _, shift_m in errors.values()) < 3e-3 * MAX_MM[method]
 
 
 def test_known_sigmas_and_a_config_file(run, three, tmp_path):
