@@ -333,6 +333,7 @@ def _bundle_quality(solved: BundleResult) -> dict[str, Any]:
                 "cost": r.cost,
                 "sigma_2d_px": dict(zip(solved.cameras, r.sigma_2d_px, strict=True)),
                 "depth_k_per_m": dict(zip(solved.cameras, r.k_depth, strict=True)),
+                "depth_cell_exponent": r.cell_exponent,
                 "pose_part_pixel": r.ratio_pixel,
                 "pose_part_depth": r.ratio_depth,
                 "dropped_views": r.dropped_views,

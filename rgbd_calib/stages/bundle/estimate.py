@@ -60,6 +60,7 @@ def bundle(
                 solution.cost,
                 tuple(weights.sigma_2d_px.tolist()),
                 tuple(weights.k_depth.tolist()),
+                weights.cell_exponent,
                 weights.ratio_pixel,
                 weights.ratio_depth,
                 len(dropped),

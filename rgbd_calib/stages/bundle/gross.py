@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.stages.bundle import model, variance
+from rgbd_calib.stages.bundle import model, solve, variance
 from rgbd_calib.stages.bundle.model import Observations, State
 from rgbd_calib.stages.bundle.solve import Weights
 from rgbd_calib.types import Board, IntArray
@@ -95,10 +95,11 @@ class _Sizes:
 
 def _sizes(state: State, obs: Observations, board: Board, weights: Weights) -> _Sizes:
     pixel, depth = model.residuals(state, obs, board)
-    Q_pixel, Q_depth = variance.pose_parts(state, obs, board)
+    sigma3 = solve.depth_sigma(obs, weights.k_depth, weights.cell_exponent)
+    Q_pixel, Q_depth = variance.pose_parts(state, obs, board, sigma3)
     r2 = (pixel / weights.sigma_2d_px[obs.camera, None, None]).reshape(len(obs.camera), -1)
     off2, pose2 = _split(r2, Q_pixel)
-    off3, pose3 = _split(depth / weights.k_depth[obs.camera, None], Q_depth)
+    off3, pose3 = _split(depth / sigma3, Q_depth)
     n2, n3 = 2 * obs.has_pixel.sum(axis=1), obs.has_depth.sum(axis=1)
     return _Sizes(_rms(off2, n2), _rms(pose2, n2), _rms(off3, n3), _rms(pose3, n3), off3)
 

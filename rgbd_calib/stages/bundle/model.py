@@ -8,7 +8,8 @@ in the colour camera is p = T_color_world T_world_board X, and
     r_prior = L (theta - theta_0)                                              L'L = inverse prior covariance
 
 A depth pixel measures z alone: its lateral error is the pixel's, twenty times smaller, so r_depth has one row. A
-triangulating sensor has sigma_z = k z^2; k is estimated, and stands for the mean over a corner's cell.
+triangulating sensor has sigma_z = k z^2; k is estimated, and stands for the mean over a corner's cell of median size;
+how it falls with the cell's size is estimated too (:mod:`.variance`).
 
 Unknowns: for each camera 6 of its pose (left perturbation in the world; the reference's are held), 9 intrinsics, the
 coefficients of its depth bias; for each frame 6 of the board's pose; 3 of the board's bow. A frame that only one camera
@@ -51,6 +52,8 @@ class Observations:
     """(V, N, 2)."""
     depth_m: FloatArray
     """(V, N), as measured; 1 where there is none."""
+    cell_ratio: FloatArray
+    """(V, N), depth pixels that a corner rests on, over the median of its camera; 1 where there are none."""
     powers: FloatArray
     """(V, N, B), 1, z, z^2, ... with z held to the range of the camera's depth bias."""
     has_pixel: IntArray
@@ -123,18 +126,34 @@ def observe(
     V = len(views)
     pixels, depth, points = np.zeros((V, n, 2)), np.ones((V, n)), np.tile([0.0, 0.0, 0.0], (V, n, 1))
     has_pixel, has_depth = np.zeros((V, n), bool), np.zeros((V, n), bool)
+    cells = np.full((V, n), np.nan)
     for i, placed in enumerate(views):
         m = len(placed.view.ids)
         measured = np.isfinite(placed.view.depth_m)
         pixels[i, :m], points[i, :m] = placed.view.corners_px, placed.points_m(board)
         has_pixel[i, :m], has_depth[i, :m] = True, measured
         depth[i, :m][measured] = placed.view.depth_m[measured]
+        cells[i, :m][measured] = np.maximum(placed.view.depth_pixels[measured], 1)
     camera_of = np.array([cameras.index(placed.view.camera) for placed in views])
     frame_of = np.array([frames.index(placed.view.frame) for placed in views])
     shared = np.bincount(frame_of)[frame_of] > 1
     low, high = bias_range_m[camera_of, None].transpose(2, 0, 1)
     powers = np.asarray(polynomial.polyvander(np.clip(depth, low, high), n_bias - 1), np.float64)
-    return Observations(camera_of, frame_of, shared, points, pixels, depth, powers, has_pixel, has_depth), tuple(frames)
+    cell_ratio = _over_median(cells, camera_of)
+    observations = Observations(
+        camera_of, frame_of, shared, points, pixels, depth, cell_ratio, powers, has_pixel, has_depth
+    )
+    return observations, tuple(frames)
+
+
+def _over_median(cells: FloatArray, camera_of: IntArray) -> FloatArray:
+    """Pixels of each cell over the median of its camera's, (V, N), 1 where there are none."""
+    out = np.ones_like(cells)
+    for c in np.unique(camera_of):
+        mine = (camera_of == c)[:, None] & np.isfinite(cells)
+        if mine.any():
+            out[mine] = cells[mine] / np.median(cells[mine])
+    return out
 
 
 def bow_basis(points_m: FloatArray, board: Board) -> FloatArray:

@@ -73,6 +73,7 @@ class Round:
     cost: float
     sigma_2d_px: tuple[float, ...]
     k_depth: tuple[float, ...]
+    cell_exponent: float
     ratio_pixel: float
     ratio_depth: float
     dropped_views: int

@@ -40,6 +40,9 @@ class Weights:
     """(C,)."""
     k_depth: FloatArray
     """(C,), 1/m: sigma_z = k z^2."""
+    cell_exponent: float
+    """Depth of a corner has the deviation k z^2 (cell_ratio)^(-cell_exponent / 2): 1 for white noise in its pixels, 0
+    where they err together."""
     ratio_pixel: float
     ratio_depth: float
     robust_pixel: FloatArray
@@ -270,8 +273,14 @@ def view_traces(system: System, cov: Covariance, obs: Observations) -> FloatArra
 def scales(obs: Observations, weights: Weights) -> tuple[FloatArray, FloatArray]:
     """Factors (V, N) of the unweighted residuals: 1 / sigma, times the root of the robust weight, zero where unseen."""
     w_pixel = np.sqrt(weights.robust_pixel) * obs.has_pixel / weights.sigma_2d_px[obs.camera, None]
-    w_depth = np.sqrt(weights.robust_depth) * obs.has_depth / weights.k_depth[obs.camera, None]
+    w_depth = np.sqrt(weights.robust_depth) * obs.has_depth / depth_sigma(obs, weights.k_depth, weights.cell_exponent)
     return w_pixel, w_depth
+
+
+def depth_sigma(obs: Observations, k_depth: FloatArray, cell_exponent: float) -> FloatArray:
+    """Deviation (V, N) of a corner's depth over z^2, 1/m."""
+    sigma: FloatArray = k_depth[obs.camera, None] * obs.cell_ratio ** (-cell_exponent / 2)
+    return sigma
 
 
 def _split(J: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray]:

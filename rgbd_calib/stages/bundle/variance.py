@@ -3,7 +3,7 @@
 Helmert's and Forstner's estimate of a variance from the residuals of its group: sigma^2 = sum r^2 / redundancy, with
 redundancy = residuals - tr(J Cov J'), what the fit absorbed. Groups: the pixels of each camera, off the pose part; the
 depth of each camera, off it; and for pixels and for depth the pose part of all views together (its ratio to the rest, at
-least 1).
+least 1). How the depth's variance falls with the size of a corner's cell is one exponent for all cameras.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from rgbd_calib.stages.bundle.model import Observations, State
 from rgbd_calib.stages.bundle.solve import Prior, Weights
 from rgbd_calib.types import Board
 
+MIN_CELL_SPREAD = 0.01
+"""Least variance of the logarithm of the cells' sizes that tells how noise falls with them."""
 MIN_REDUNDANCY = 10.0
 """A group with less takes the variance of all cameras together."""
 
@@ -27,6 +29,7 @@ def initial(obs: Observations, n_cameras: int, sigma_2d_px: float, k_depth: floa
     return Weights(
         np.full(n_cameras, sigma_2d_px),
         np.full(n_cameras, k_depth),
+        0.0,
         1.0,
         1.0,
         one,
@@ -64,15 +67,34 @@ def update(state: State, obs: Observations, board: Board, weights: Weights, prio
         _ratio(squares[part], redundancy[part], factor[obs.camera]) for part, factor in ((1, factor2), (3, factor3))
     )
     sigma_2d_px, k_depth = weights.sigma_2d_px * np.sqrt(factor2), weights.k_depth * np.sqrt(factor3)
-    Q_pixel, Q_depth = pose_parts(state, obs, board)
     pixel, depth = model.residuals(state, obs, board)
+    sigma3 = solve.depth_sigma(obs, k_depth, weights.cell_exponent)
+    Q_pixel, Q_depth = pose_parts(state, obs, board, sigma3)
+    off3 = _off_pose((depth / sigma3)[..., None], Q_depth)
+    exponent = np.clip(weights.cell_exponent + _cell_slope(off3[..., 0], obs), 0.0, 1.0)
     robust_pixel = _huber(_off_pose(pixel, Q_pixel) / sigma_2d_px[obs.camera, None, None], huber)
-    robust_depth = _huber(_off_pose(depth[..., None], Q_depth) / k_depth[obs.camera, None, None], huber)
-    return Weights(sigma_2d_px, k_depth, ratio2, ratio3, robust_pixel, robust_depth, Q_pixel, Q_depth)
+    robust_depth = _huber(off3, huber)
+    return Weights(sigma_2d_px, k_depth, float(exponent), ratio2, ratio3, robust_pixel, robust_depth, Q_pixel, Q_depth)
+
+
+def _cell_slope(r_sigma: FloatArray, obs: Observations) -> float:
+    """How much faster the variance falls with a cell's size than its weight says, as an exponent.
+
+    Slope of log r^2 over log size, about each camera's own means; the logarithm keeps gross errors from counting.
+    """
+    used = obs.has_depth & (np.abs(r_sigma) > 1e-9)
+    x, y = np.log(obs.cell_ratio[used]), np.log(r_sigma[used] ** 2)
+    camera = np.broadcast_to(obs.camera[:, None], used.shape)[used]
+    count = np.maximum(np.bincount(camera), 1)
+    x, y = (v - (np.bincount(camera, v) / count)[camera] for v in (x, y))
+    spread = float(x @ x)
+    return -float(x @ y) / spread if spread > MIN_CELL_SPREAD * len(x) else 0.0
 
 
 def change(a: Weights, b: Weights) -> float:
     """Largest relative difference of any sigma or ratio."""
+    if abs(a.cell_exponent - b.cell_exponent) > 0.1:
+        return 1.0
     pairs = ((a.sigma_2d_px, b.sigma_2d_px), (a.k_depth, b.k_depth), (a.ratio_pixel, b.ratio_pixel))
     return max(float(np.max(np.abs(np.log(np.divide(x, y))))) for x, y in (*pairs, (a.ratio_depth, b.ratio_depth)))
 
@@ -93,13 +115,13 @@ def _ratio(squares: FloatArray, redundancy: FloatArray, factor: FloatArray) -> f
     return max(1.0, float(np.sqrt(np.sum(squares / factor) / left)))
 
 
-def pose_parts(state: State, obs: Observations, board: Board) -> tuple[FloatArray, FloatArray]:
-    """Orthonormal bases of what a change of the board's pose does to a view's pixels (6) and to its depth (3)."""
+def pose_parts(state: State, obs: Observations, board: Board, depth_sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Orthonormal bases of what a change of the board's pose does to a view's pixels (6) and to its depth (3), in sigmas."""
     lin = model.linearize(state, obs, board)
     V, N = obs.has_pixel.shape
     J2 = lin.J_pixel[..., -6:].reshape(V, 2 * N, 6)
     flat = np.stack([obs.has_depth, *(obs.points_m[..., k] * obs.has_depth for k in (0, 1))], axis=-1)
-    return _orthonormal(J2), _orthonormal(flat / (obs.depth_m**2)[..., None])
+    return _orthonormal(J2), _orthonormal(flat / (depth_sigma * obs.depth_m**2)[..., None])
 
 
 def _orthonormal(A: FloatArray) -> FloatArray:
