@@ -168,7 +168,7 @@ def test_a_tenth_of_spoiled_views_does_not_matter(kind: str) -> None:
         assert len(set(result.dropped) - named) <= 2
     else:
         assert result.dropped_depth_corners + len(result.dropped) >= len(bad)
-    # 1.2 of the clean result, the bar, with 0.2 mm for the views that are missing
+    # 1.2 of the clean result, with 0.2 mm for the views that are missing
     assert alignment_m(result, rig) < 1.2 * clean + 2e-4
 
 
