@@ -19,7 +19,6 @@ from rgbd_calib.io.rig import read_boards, read_rig, write_intrinsics
 from rgbd_calib.report import numbers
 from rgbd_calib.report.verdict import FAIR_MM, GOOD_MM, NOISE_FACTOR, judge
 
-CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 CAMERAS = ("C1", "C2", "C3")
 FRAMES = 6
 LIMIT_BYTES = 8_000_000
@@ -40,31 +39,6 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def page(calibrated: Path) -> str:
     return (calibrated / "report" / "index.html").read_text(encoding="utf-8")
-
-
-@pytest.fixture
-def browser(tmp_path):
-    """Headless Chromium without a network; 3D is drawn in software."""
-    if not (CHROMIUM and DRIVER):
-        pytest.skip("no Chromium: apt-get install chromium chromium-driver")
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
-    for argument in (
-        "--headless=new",
-        "--no-sandbox",
-        "--disable-dev-shm-usage",
-        "--enable-unsafe-swiftshader",
-        "--window-size=1280,1000",
-        "--proxy-server=127.0.0.1:9",
-        f"--user-data-dir={tmp_path / 'profile'}",
-    ):
-        options.add_argument(argument)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
-    yield driver
-    driver.quit()
 
 
 def figures_of(page: str) -> dict:

@@ -8,6 +8,8 @@ Both have residuals of the same kind, measured minus predicted in the camera's f
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 
 from rgbd_calib.geometry.camera import Intrinsics
@@ -20,7 +22,7 @@ _MIN_DEPTH_M = 1e-6
 """A point nearer than this, or behind the camera, has no pixel: the cost is infinite and the step is refused."""
 
 
-class PointTerm:
+class PointTerm(ABC):
     """Blocks of whitened residuals with latent points; subclasses say what a residual is."""
 
     dimension: int
@@ -141,13 +143,13 @@ class PointTerm:
         A *= root[:, None]
         return A, r * root, weights if block.seen is None else weights * block.seen
 
+    @abstractmethod
     def _residual(self, i: int, block: Block, T: FloatArray, X: FloatArray) -> FloatArray | None:
         """Whitened residuals (k, d, n); None where a point has none."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _jacobian(self, i: int, block: Block) -> FloatArray:
         """A (k, 3, d, n) at the state of the last residuals."""
-        raise NotImplementedError
 
 
 class PixelTerm(PointTerm):
