@@ -89,14 +89,14 @@ def test_derivatives_agree_with_central_differences(seed: int) -> None:
     h = 1e-6
     for v in range(len(obs.camera)):
         columns = [*(obs.camera[v] * n + np.arange(n)), *range(P - 3, P)]
-        for local in range(lin.J_depth.shape[-1]):
+        for local in range(lin.J.shape[-1]):
             step, boards = np.zeros(P), np.zeros((F, 6))
             if local < len(columns):
                 step[columns[local]] = h
             else:
                 boards[obs.frame[v], local - len(columns)] = h
             plus, minus = (model.residuals(state.moved(s * step, s * boards), obs, board) for s in (1, -1))
-            for J, a, b in ((lin.J_pixel, plus[0], minus[0]), (lin.J_depth, plus[1], minus[1])):
+            for J, a, b in ((lin.J[:, :, :2], plus[0], minus[0]), (lin.J[:, :, 2], plus[1], minus[1])):
                 numeric = (a[v] - b[v]) / (2 * h)
                 # central differences: h^2 third derivatives and 1e-13 / h rounding, of values up to 1e3
                 assert np.abs(J[v][..., local] - numeric).max() < 1e-5 * max(1.0, np.abs(numeric).max())

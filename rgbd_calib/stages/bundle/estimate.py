@@ -50,7 +50,7 @@ def bundle(
     history: list[Round] = []
     iterations, settled, taken_back = 0, False, False
     for _ in range(params.max_rounds):
-        solution = solve.minimize(state, obs, board, weights, prior, params.max_iterations, params.tolerance)
+        solution = solve.minimize(state, obs, board, weights, prior, params.max_iterations, params.round_tolerance)
         state, iterations = solution.state, iterations + solution.iterations
         new = variance.update(state, obs, board, weights, prior, params.huber_sigmas)
         moved = variance.change(weights, new)
@@ -95,9 +95,8 @@ def bundle(
     held = replace(prior, free=prior.free & ~seen.undetermined)
     restart = solve.with_values(state, seen.undetermined, prior)
     final = solve.minimize(restart, obs, board, weights, held, params.max_iterations, params.tolerance)
-    system = solve.build(final.state, obs, board, weights, prior)
-    cov = solve.covariance(system, prior.free)
-    honest = solve.honest_covariance(system, cov, obs, weights, prior)
+    cov = solve.covariance(solve.build(final.state, obs, board, weights, prior), prior.free)
+    honest = solve.honest_covariance(cov, final.state, obs, board, weights, prior)
     message = "weights and unknowns settled" if settled else f"the weights still moved after {params.max_rounds} rounds"
     return BundleResult(
         cameras,

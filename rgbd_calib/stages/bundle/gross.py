@@ -34,8 +34,8 @@ class Dropped:
 def find(
     state: State, obs: Observations, board: Board, weights: Weights, max_view_ratio: float, max_sigmas: float
 ) -> Dropped:
-    """What to drop at a solution."""
-    sizes = _sizes(state, obs, board, weights)
+    """What to drop at a solution, at which `weights` were updated."""
+    sizes = _sizes(state, obs, board, weights, (weights.Q_pixel, weights.Q_depth))
     n2, n3 = (np.asarray(mask.any(axis=1)) for mask in (obs.has_pixel, obs.has_depth))
     bad_pixel = _beyond(sizes.off_pixel, n2, obs, max_view_ratio, "RMS of its corners", in_frame=False)
     bad_pixel |= _beyond(sizes.pose_pixel, n2 & obs.shared, obs, max_view_ratio, "shift against the other cameras")
@@ -62,7 +62,9 @@ def take_back(
     max_sigmas: float,
 ) -> tuple[Observations, list[int]]:
     """Observations with the dropped views that fit after all, and which views those are."""
-    now, sizes = _sizes(state, used, board, weights), _sizes(state, everything, board, weights)
+    sigma3 = solve.depth_sigma(everything, weights.k_depth, weights.cell_exponent)
+    now = _sizes(state, used, board, weights, (weights.Q_pixel, weights.Q_depth))
+    sizes = _sizes(state, everything, board, weights, variance.pose_parts(state, everything, board, sigma3))
     kept2, kept3 = (np.asarray(mask.any(axis=1)) for mask in (used.has_pixel, used.has_depth))
     anchored = np.isin(used.frame, used.frame[kept2])  # the board is still posed by another view
     limit = max_view_ratio / 2
@@ -93,10 +95,12 @@ class _Sizes:
     corner_depth: FloatArray
 
 
-def _sizes(state: State, obs: Observations, board: Board, weights: Weights) -> _Sizes:
+def _sizes(
+    state: State, obs: Observations, board: Board, weights: Weights, pose_parts: tuple[FloatArray, FloatArray]
+) -> _Sizes:
     pixel, depth = model.residuals(state, obs, board)
     sigma3 = solve.depth_sigma(obs, weights.k_depth, weights.cell_exponent)
-    Q_pixel, Q_depth = variance.pose_parts(state, obs, board, sigma3)
+    Q_pixel, Q_depth = pose_parts
     r2 = (pixel / weights.sigma_2d_px[obs.camera, None, None]).reshape(len(obs.camera), -1)
     off2, pose2 = _split(r2, Q_pixel)
     off3, pose3 = _split(depth / sigma3, Q_depth)

@@ -22,12 +22,12 @@ T_world_board by the opposite.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.polynomial import polynomial
 
-from rgbd_calib.geometry import camera, se3, so3
+from rgbd_calib.geometry import camera, se3
 from rgbd_calib.geometry.camera import N_INTRINSICS
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import Board, IntArray, PlacedView
@@ -64,6 +64,10 @@ class Observations:
     def keep(self, has_pixel: IntArray, has_depth: IntArray) -> Observations:
         """The same views with other masks."""
         return replace(self, has_pixel=has_pixel, has_depth=has_depth)
+
+    def only(self, views: slice) -> Observations:
+        """Some of the views."""
+        return Observations(**{field.name: getattr(self, field.name)[views] for field in fields(self)})
 
 
 @dataclass(frozen=True)
@@ -107,14 +111,10 @@ class State:
 class Linearized:
     """Unweighted residuals and derivatives; G = 6 + 9 + B + 3 + 6: camera, bow, board."""
 
-    pixel: FloatArray
-    """(V, N, 2), px."""
-    depth: FloatArray
-    """(V, N), metres over z^2: r_depth times k."""
-    J_pixel: FloatArray
-    """(V, N, 2, G)."""
-    J_depth: FloatArray
-    """(V, N, G)."""
+    residual: FloatArray
+    """(V, N, 3): u and v in px, and depth in metres over z^2, r_depth times k; zero where there is no observation."""
+    J: FloatArray
+    """(V, N, 3, G)."""
 
 
 def observe(
@@ -168,14 +168,14 @@ def points_in_color(state: State, obs: Observations, board: Board) -> tuple[Floa
     points = obs.points_m.copy()
     points[..., 2] += bow_basis(obs.points_m, board) @ state.bow_m
     T = state.T_parent_board[obs.frame]
-    p_parent = np.einsum("vij,vnj->vni", T[:, :3, :3], points) + T[:, None, :3, 3]
+    p_parent = points @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
     T_color_parent = _color_parent(state, obs)
-    p_color = np.einsum("vij,vnj->vni", T_color_parent[:, :3, :3], p_parent) + T_color_parent[:, None, :3, 3]
+    p_color = p_parent @ T_color_parent[:, :3, :3].transpose(0, 2, 1) + T_color_parent[:, None, :3, 3]
     return p_parent, p_color
 
 
 def residuals(state: State, obs: Observations, board: Board) -> tuple[FloatArray, FloatArray]:
-    """Unweighted residuals, as :class:`Linearized` has them, zero where there is no observation."""
+    """Unweighted residuals of pixels (V, N, 2) and depth (V, N), as :class:`Linearized` has them."""
     _, p = points_in_color(state, obs, board)
     return _pixel_residual(state, obs, p), _depth_residual(state, obs, p)
 
@@ -188,47 +188,31 @@ def in_front(state: State, obs: Observations, board: Board) -> bool:
 def linearize(state: State, obs: Observations, board: Board) -> Linearized:
     """Residuals and their derivatives by camera, bow and board."""
     p_parent, p = points_in_color(state, obs, board)
-    V, N, C = *obs.has_pixel.shape, state.n_camera
+    V, N = obs.has_pixel.shape
     vector = np.repeat(state.intrinsics[obs.camera], N, axis=0)
     safe = np.where(obs.has_pixel[..., None], p, [0.0, 0.0, 1.0]).reshape(-1, 3)
     _, d_point, d_intrinsics = camera.project_jacobian(vector, safe)
-    d_point, d_intrinsics = d_point.reshape(V, N, 2, 3), d_intrinsics.reshape(V, N, 2, N_INTRINSICS)
     R_color_parent = _color_parent(state, obs)[:, :3, :3]
-    moved = np.empty((V, N, 3, 6))  # of p_color, by the board's pose
-    moved[..., :3] = -np.einsum("vij,vnjk->vnik", R_color_parent, so3.hat(p_parent))
-    moved[..., 3:] = R_color_parent[:, None]
-    R_color_board = R_color_parent @ state.T_parent_board[obs.frame][:, :3, :3]
-    bent = np.einsum("vi,vnk->vnik", R_color_board[:, :, 2], bow_basis(obs.points_m, board))
+    by_point = np.empty((V, N, 3, 3))  # of u, v, z by the point in the parent's frame
+    by_point[:, :, :2] = (d_point.reshape(V, 2 * N, 3) @ R_color_parent).reshape(V, N, 2, 3)
+    by_point[:, :, 2] = R_color_parent[:, None, 2]
 
-    by_pose = np.einsum("vnij,vnjk->vnik", d_point, moved)
-    shared = obs.shared[:, None, None, None]
-    J_pixel = np.concatenate(
-        [
-            np.where(shared, -by_pose, 0.0),
-            d_intrinsics,
-            np.zeros((V, N, 2, C - INTRINSICS.stop)),
-            np.einsum("vnij,vnjk->vnik", d_point, bent),
-            by_pose,
-        ],
-        axis=-1,
+    J = np.zeros((V, N, 3, state.n_camera + N_BOW + 6))
+    by_pose, by_bow = J[..., -6:], J[..., -6 - N_BOW : -6]
+    by_pose[..., :3] = np.cross(p_parent[:, :, None], by_point)
+    by_pose[..., 3:] = by_point
+    J[..., POSE] = np.where(obs.shared[:, None, None, None], -by_pose, 0.0)
+    J[:, :, :2, INTRINSICS] = d_intrinsics.reshape(V, N, 2, N_INTRINSICS)
+    J[:, :, 2, INTRINSICS.stop : state.n_camera] = -obs.powers
+    normal_parent = state.T_parent_board[obs.frame][:, :3, 2]
+    by_bow[:] = (
+        np.einsum("vnij,vj->vni", by_point, normal_parent)[..., None] * bow_basis(obs.points_m, board)[:, :, None]
     )
-    by_pose_z = moved[..., 2, :]
-    J_depth = (
-        np.concatenate(
-            [
-                np.where(obs.shared[:, None, None], -by_pose_z, 0.0),
-                np.zeros((V, N, N_INTRINSICS)),
-                -obs.powers,
-                bent[..., 2, :],
-                by_pose_z,
-            ],
-            axis=-1,
-        )
-        / (obs.depth_m**2)[..., None]
-    )
-    J_pixel[~obs.has_pixel] = 0.0
-    J_depth[~obs.has_depth] = 0.0
-    return Linearized(_pixel_residual(state, obs, p), _depth_residual(state, obs, p), J_pixel, J_depth)
+    J[:, :, 2] /= (obs.depth_m**2)[..., None]
+    J[:, :, :2] *= obs.has_pixel[:, :, None, None]
+    J[:, :, 2] *= obs.has_depth[..., None]
+    residual = np.concatenate([_pixel_residual(state, obs, p), _depth_residual(state, obs, p)[..., None]], axis=-1)
+    return Linearized(residual, J)
 
 
 def _color_parent(state: State, obs: Observations) -> FloatArray:

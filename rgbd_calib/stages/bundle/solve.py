@@ -10,6 +10,7 @@ V is block diagonal, 6x6 for each frame. Cov_gg = S^-1, Cov_gb = -S^-1 W V^-1, C
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 
@@ -21,9 +22,12 @@ from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.bundle import model
 from rgbd_calib.stages.bundle.model import N_BOW, Observations, State
-from rgbd_calib.types import Board
+from rgbd_calib.types import Board, IntArray
 
 BoolArray = NDArray[np.bool_]
+
+VIEWS_AT_ONCE = 256
+"""Views whose derivatives are in memory together: about 10 MB."""
 
 
 @dataclass(frozen=True)
@@ -85,22 +89,18 @@ class Solution:
 
 @dataclass(frozen=True)
 class System:
-    """The reduced equations at a state, over the free global parameters, and what undoes the reduction."""
+    """The normal equations at a state."""
 
     U: FloatArray
     """(P, P)."""
     W: FloatArray
-    """(P, F, 6)."""
+    """(F, P, 6)."""
     V: FloatArray
     """(F, 6, 6)."""
     gradient: FloatArray
     """(P,)."""
     gradient_boards: FloatArray
     """(F, 6)."""
-    parts: FloatArray
-    """(4, Views, G, G): the information in each view's pixels off the pose part, pixels in it, depth off it and in it."""
-    columns: FloatArray
-    """(Views, G - 6), global parameter of each local column."""
 
 
 def values(state: State) -> FloatArray:
@@ -169,37 +169,68 @@ def minimize(
 
 def build(state: State, obs: Observations, board: Board, weights: Weights, prior: Prior) -> System:
     """The normal equations at a state."""
-    lin = model.linearize(state, obs, board)
-    w_pixel, w_depth = scales(obs, weights)
-    V, N = obs.has_pixel.shape
-    J2 = (lin.J_pixel * w_pixel[..., None, None]).reshape(V, 2 * N, -1)
-    r2 = (lin.pixel * w_pixel[..., None]).reshape(V, 2 * N)
-    J3, r3 = lin.J_depth * w_depth[..., None], lin.depth * w_depth
-    parts = np.stack([*_split(J2, weights.Q_pixel), *_split(J3, weights.Q_depth)])
-    g = np.einsum("vng,vn->vg", J2, r2) + np.einsum("vng,vn->vg", J3, r3)
-
-    P, F, n_cam = state.n_global, len(state.T_parent_board), state.n_camera
-    columns = np.concatenate(
-        [
-            obs.camera[:, None] * n_cam + np.arange(n_cam),
-            np.broadcast_to(np.arange(P - N_BOW, P), (V, N_BOW)),
-        ],
-        axis=1,
-    )
-    U, W, Vb = prior.information.copy(), np.zeros((F, P, 6)), np.zeros((F, 6, 6))
+    P, F = state.n_global, len(state.T_parent_board)
+    U, W, V = prior.information.copy(), np.zeros((F, P, 6)), np.zeros((F, 6, 6))
     gradient = prior.information @ (values(state) - prior.mean)
     gradient_boards = np.zeros((F, 6))
-    H = parts.sum(axis=0)
-    for v in range(V):
-        at, f = columns[v], obs.frame[v]
-        U[np.ix_(at, at)] += H[v, :-6, :-6]
-        W[f, at] += H[v, :-6, -6:]
-        Vb[f] += H[v, -6:, -6:]
-        gradient[at] += g[v, :-6]
-        gradient_boards[f] += g[v, -6:]
+    for part in _blocks(state, obs, board, weights):
+        n, _, _, G = part.J.shape
+        J = part.J.reshape(n, -1, G)
+        H = J.transpose(0, 2, 1) @ J
+        g = (part.r.reshape(n, 1, -1) @ J)[:, 0]
+        for c in np.unique(part.camera):
+            at, mine = part.columns[part.camera == c][0], part.camera == c
+            U[np.ix_(at, at)] += H[mine, :-6, :-6].sum(axis=0)
+            gradient[at] += g[mine, :-6].sum(axis=0)
+        np.add.at(W, (part.frame[:, None], part.columns), H[:, :-6, -6:])
+        np.add.at(V, part.frame, H[:, -6:, -6:])
+        np.add.at(gradient_boards, part.frame, g[:, -6:])
     unseen = ~np.isin(np.arange(F), obs.frame[obs.has_pixel.any(axis=1)])
-    Vb[unseen] += np.eye(6)  # boards whose views were all dropped stay where they are
-    return System(U, W.transpose(1, 0, 2), Vb, gradient, gradient_boards, parts, columns)
+    V[unseen] += np.eye(6)  # boards whose views were all dropped stay where they are
+    return System(U, W, V, gradient, gradient_boards)
+
+
+@dataclass(frozen=True)
+class _Block:
+    """The weighted equations of some views; n views, N corners, G = 6 + 9 + B + 3 + 6 local columns."""
+
+    views: slice
+    camera: IntArray
+    frame: IntArray
+    columns: IntArray
+    """(n, G - 6), global parameter of each local column but the board's."""
+    J: FloatArray
+    """(n, N, 3, G)."""
+    r: FloatArray
+    """(n, N, 3)."""
+
+    def information(self, weights: Weights) -> FloatArray:
+        """(4, n, G, G): in the pixels off the pose part and in it, in the depth off it and in it."""
+        n, _, _, G = self.J.shape
+        out = []
+        for J, Q in ((self.J[:, :, :2], weights.Q_pixel), (self.J[:, :, 2], weights.Q_depth)):
+            rows = J.reshape(n, -1, G)
+            in_pose = Q[self.views].transpose(0, 2, 1) @ rows
+            H_pose = in_pose.transpose(0, 2, 1) @ in_pose
+            out += [rows.transpose(0, 2, 1) @ rows - H_pose, H_pose]
+        return np.stack(out)
+
+
+def _blocks(state: State, obs: Observations, board: Board, weights: Weights) -> Iterator[_Block]:
+    """The equations of VIEWS_AT_ONCE views after the other, so that memory does not grow with the recording."""
+    w_pixel, w_depth = scales(obs, weights)
+    w = np.stack([w_pixel, w_pixel, w_depth], axis=-1)
+    n_cam = state.n_camera
+    bow = np.arange(state.n_global - N_BOW, state.n_global)
+    for first in range(0, len(obs.camera), VIEWS_AT_ONCE):
+        views = slice(first, first + VIEWS_AT_ONCE)
+        some = obs.only(views)
+        lin = model.linearize(state, some, board)
+        own = some.camera[:, None] * n_cam + np.arange(n_cam)
+        columns = np.concatenate([own, np.broadcast_to(bow, (len(own), N_BOW))], axis=1)
+        J = lin.J
+        J *= w[views, :, :, None]
+        yield _Block(views, some.camera, some.frame, columns, J, lin.residual * w[views])
 
 
 @dataclass(frozen=True)
@@ -209,7 +240,7 @@ class Covariance:
     cameras: FloatArray
     """(P, P), global parameters."""
     cross: FloatArray
-    """(P, F, 6)."""
+    """(F, P, 6)."""
     boards: FloatArray
     """(F, 6, 6)."""
 
@@ -223,10 +254,10 @@ def covariance(system: System, free: BoolArray) -> Covariance:
         They are singular.
     """
     P = len(free)
-    W = system.W[free]
+    W = system.W[:, free]
     V_inv = np.linalg.inv(system.V)
-    WV = np.einsum("pfi,fij->pfj", W, V_inv)
-    S = system.U[np.ix_(free, free)] - np.einsum("pfi,qfi->pq", WV, W, optimize=True)
+    WV = W @ V_inv
+    S = system.U[np.ix_(free, free)] - _product(WV, W)
     scale = 1 / np.sqrt(np.diag(S))
     try:
         L = np.linalg.cholesky(S * np.outer(scale, scale))
@@ -236,38 +267,47 @@ def covariance(system: System, free: BoolArray) -> Covariance:
         ) from None
     L_inv = solve_triangular(L, np.diag(scale), lower=True)
     S_inv = L_inv.T @ L_inv
-    cross_free = -np.einsum("pq,qfi->pfi", S_inv, WV, optimize=True)
-    boards = V_inv - np.einsum("pfi,pfj->fij", WV, cross_free, optimize=True)
-    full, cross = np.zeros((P, P)), np.zeros((P, *cross_free.shape[1:]))
+    cross_free = -S_inv @ WV
+    boards = V_inv - WV.transpose(0, 2, 1) @ cross_free
+    full, cross = np.zeros((P, P)), np.zeros((len(V_inv), P, 6))
     full[np.ix_(free, free)] = S_inv
-    cross[free] = cross_free
+    cross[:, free] = cross_free
     return Covariance(full, cross, boards)
 
 
-def honest_covariance(system: System, cov: Covariance, obs: Observations, weights: Weights, prior: Prior) -> FloatArray:
+def honest_covariance(
+    cov: Covariance, state: State, obs: Observations, board: Board, weights: Weights, prior: Prior
+) -> FloatArray:
     """Covariance (P, P) of the global parameters where the pose parts are noisier than the rest.
 
     The estimate solves A step = -g with one weight for both parts, while g has the covariance B, in which the pose parts
     count `ratio`^2 times: Cov = A^-1 B A^-1 (the sandwich; H. White, Econometrica 48(4), 1980). B's priors count once.
     """
     scale = np.array([1.0, weights.ratio_pixel**2, 1.0, weights.ratio_depth**2])
-    B = np.einsum("p,pvij->vij", scale, system.parts)
     out: FloatArray = cov.cameras @ prior.information @ cov.cameras
-    for v, f in enumerate(obs.frame):
-        M = np.concatenate([cov.cameras[:, system.columns[v]], cov.cross[:, f]], axis=1)
-        out = out + M @ B[v] @ M.T
+    for part in _blocks(state, obs, board, weights):
+        B = np.tensordot(scale, part.information(weights), axes=1)
+        M = np.concatenate([cov.cameras[part.columns], cov.cross[part.frame].transpose(0, 2, 1)], axis=1)  # (n, G, P)
+        out += _product(M.transpose(0, 2, 1) @ B, M.transpose(0, 2, 1))
     return out
 
 
-def view_traces(system: System, cov: Covariance, obs: Observations) -> FloatArray:
+def view_traces(cov: Covariance, state: State, obs: Observations, board: Board, weights: Weights) -> FloatArray:
     """tr(J Cov J') of each view's four parts, (4, V): how many of its residuals the fit absorbed."""
-    traces = np.empty((4, len(obs.camera)))
-    for v, f in enumerate(obs.frame):
-        at = system.columns[v]
-        cross = cov.cross[at, f]
-        C = np.block([[cov.cameras[np.ix_(at, at)], cross], [cross.T, cov.boards[f]]])
-        traces[:, v] = np.einsum("pij,ij->p", system.parts[:, v], C)
-    return traces
+    traces = []
+    for part in _blocks(state, obs, board, weights):
+        of_cameras = cov.cameras[part.columns[:, :, None], part.columns[:, None]]
+        cross = cov.cross[part.frame[:, None], part.columns]
+        C = np.block([[of_cameras, cross], [cross.transpose(0, 2, 1), cov.boards[part.frame]]])
+        traces.append(np.einsum("pvij,vij->pv", part.information(weights), C))
+    return np.concatenate(traces, axis=1)
+
+
+def _product(A: FloatArray, B: FloatArray) -> FloatArray:
+    """Sum over f of A[f] B[f]', of (F, p, m) and (F, q, m), as one matrix product."""
+    p, q = A.shape[1], B.shape[1]
+    out: FloatArray = A.transpose(1, 0, 2).reshape(p, -1) @ B.transpose(1, 0, 2).reshape(q, -1).T
+    return out
 
 
 def scales(obs: Observations, weights: Weights) -> tuple[FloatArray, FloatArray]:
@@ -283,28 +323,21 @@ def depth_sigma(obs: Observations, k_depth: FloatArray, cell_exponent: float) ->
     return sigma
 
 
-def _split(J: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Information of a view's rows (V, n, G) off the pose part, (V, G, G), and in it."""
-    QJ = np.matmul(Q.transpose(0, 2, 1), J)
-    H_pose = np.matmul(QJ.transpose(0, 2, 1), QJ)
-    return np.matmul(J.transpose(0, 2, 1), J) - H_pose, H_pose
-
-
 def _step(system: System, free: BoolArray, damping: float) -> tuple[FloatArray, FloatArray] | None:
     """The damped step (eq. A11), or None where the equations are singular."""
     V = system.V + damping * np.einsum("fii->fi", system.V)[:, :, None] * np.eye(6)
-    W, g = system.W[free], system.gradient[free]
+    W, g = system.W[:, free], system.gradient[free]
     try:
         V_inv = np.linalg.inv(V)
-        WV = np.einsum("pfi,fij->pfj", W, V_inv)
+        WV = W @ V_inv
         n = len(g)
-        S = system.U[np.ix_(free, free)] - WV.reshape(n, -1) @ W.reshape(n, -1).T
+        S = system.U[np.ix_(free, free)] - _product(WV, W)
         S[np.diag_indices(n)] += damping * np.diag(system.U)[free]
         scale = 1 / np.sqrt(np.maximum(np.diag(S), 1e-300))
         factor = cho_factor(S * np.outer(scale, scale))
     except np.linalg.LinAlgError:
         return None
     step = np.zeros(len(free))
-    step[free] = -scale * cho_solve(factor, scale * (g - np.einsum("pfi,fi->p", WV, system.gradient_boards)))
-    boards = -np.einsum("fij,fj->fi", V_inv, system.gradient_boards + np.einsum("pfi,p->fi", W, step[free]))
+    step[free] = -scale * cho_solve(factor, scale * (g - np.einsum("fpi,fi->p", WV, system.gradient_boards)))
+    boards = -np.einsum("fij,fj->fi", V_inv, system.gradient_boards + np.einsum("fpi,p->fi", W, step[free]))
     return step, boards

