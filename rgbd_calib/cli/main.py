@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import signal
 import sys
+from contextlib import suppress
+from types import FrameType
 
 import click
 
@@ -30,6 +33,7 @@ COMMANDS = (
     "export",
     "board",
     "schema",
+    "cache",
 )
 """In the order of the work. Command `a-b` is `command` in module `rgbd_calib.cli.a_b` (`import_` for `import`)."""
 
@@ -81,8 +85,20 @@ def cli() -> None:
     """
 
 
+class _Terminated(SystemExit):
+    """TERM or HUP came: what is being written is taken away on the way out, as after Ctrl-C."""
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    raise _Terminated(128 + number)
+
+
 def main() -> None:
-    """Entry point: user errors end in one line on stderr and their exit status, Ctrl-C in 130."""
+    """Entry point: user errors end in one line on stderr and their exit status, Ctrl-C in 130, TERM in 143."""
+    for number in {signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}:
+        if signal.getsignal(number) is signal.SIG_DFL:  # nohup ignores HUP
+            with suppress(ValueError):  # called outside the main thread
+                signal.signal(number, _terminate)
     try:
         status = cli.main(standalone_mode=False)
     except click.ClickException as error:
@@ -91,9 +107,20 @@ def main() -> None:
     except click.exceptions.Abort:
         click.echo("Interrupted; nothing was left half-written.", err=True)
         sys.exit(130)
+    except _Terminated as error:
+        click.echo("Terminated; nothing was left half-written.", err=True)
+        sys.exit(error.code)
     except RgbdCalibError as error:
         click.echo(f"Error: {error}", err=True)
         sys.exit(error.exit_status)
     except BrokenPipeError:
         sys.exit(141)
+    except OSError as error:
+        click.echo(
+            f"Error: {error.filename or 'a file'}: {error.strerror or error}. Mend that, and run again", err=True
+        )
+        sys.exit(2)
+    except MemoryError:
+        click.echo("Error: not enough memory. Free some, or take fewer images", err=True)
+        sys.exit(1)
     sys.exit(status if isinstance(status, int) else 0)

@@ -80,7 +80,4 @@ class CaptureLog:
             "clock_zero_unix_s": self.clock_zero_unix_s,
             "sessions": [*self.earlier, self._session],
         }
-        try:
-            write_text(self._path, dump_yaml(data))
-        except OSError as error:
-            raise ConfigError(f"{self._path}: cannot be written ({error.strerror}). Is the disk full?") from error
+        write_text(self._path, dump_yaml(data))

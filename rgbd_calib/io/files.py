@@ -1,10 +1,10 @@
-"""Files written whole or not at all, and YAML as this project writes it."""
+"""Files written whole or not at all, files read up to a limit, and YAML as this project writes it."""
 
 from __future__ import annotations
 
+import errno
 import os
-import shutil
-import tempfile
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,56 +14,115 @@ import numpy as np
 import yaml
 
 from rgbd_calib.errors import ConfigError
+from rgbd_calib.io import safe_yaml
+from rgbd_calib.io.temporary import MARK, flush, flush_name, hidden, remove
+
+_ADVICE = {
+    errno.ENOSPC: "Free space, or choose another disk",
+    errno.EDQUOT: "Free space, or choose another disk",
+    errno.EFBIG: "Choose another disk, or raise the limit of a file's size",
+    errno.EISDIR: "A folder of that name is in the way: move it, or choose another name",
+    errno.ENOTDIR: "A file is in the way: move it, or choose another name",
+    errno.EEXIST: "Something of that name is in the way: move it, or choose another name",
+    errno.ENOTEMPTY: "A folder of that name is in the way: move it, or choose another name",
+}
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def whole_file(path: Path, durable: bool = True) -> Iterator[Path]:
     """A temporary path beside `path`, with the same suffix, renamed to it at the end, or removed where the body fails.
+
+    Parameters
+    ----------
+    durable
+        At return the file is on the disk itself, and what killed runs have left of it is gone. False for one of many
+        in a folder that is written whole.
 
     Raises
     ------
     ConfigError
-        The folder cannot be written to.
+        The folder cannot be written to, or the disk is full.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written ({error.strerror}). Choose a folder you may write to") from error
-    os.close(handle)
-    temporary = Path(name)
-    try:
+    with _refusals(path), hidden(path, folder=False, leftovers=durable) as temporary:
         yield temporary
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
+        if durable:
+            flush(temporary)
         temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+        if durable:
+            flush_name(path)
 
 
 @contextmanager
 def whole_folder(path: Path, overwrite: bool = False) -> Iterator[Path]:
-    """A temporary folder beside `path`, renamed to it at the end, or removed where the body fails."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written ({error.strerror}). Choose a folder you may write to") from error
-    try:
-        temporary.chmod(0o755)
+    """A temporary folder beside `path`, renamed to it at the end, or removed where the body fails.
+
+    What it replaces is moved aside first, since no rename replaces a folder that is not empty; where a kill came between
+    the two, the next run moves it back.
+
+    Raises
+    ------
+    ConfigError
+        The folder cannot be written to, the disk is full, or something is there that is not to be replaced.
+    """
+    aside = path.with_name(f".{path.name}.replaced")
+    with _refusals(path), hidden(path, folder=True) as temporary:
+        if os.path.lexists(aside):
+            remove(aside) if os.path.lexists(path) else aside.replace(path)
         yield temporary
-        if path.exists() and overwrite:
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
-        temporary.replace(path)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        flush(temporary)
+        if overwrite and os.path.lexists(path):
+            path.replace(aside)
+        try:
+            temporary.replace(path)
+        except BaseException:
+            if os.path.lexists(aside):
+                aside.replace(path)
+            raise
+        flush_name(path)
+        remove(aside)
+
+
+@contextmanager
+def _refusals(path: Path) -> Iterator[None]:
+    """What the system refuses while `path` is written becomes an error for people."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        seen = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else ""
+        if seen and MARK not in seen and Path(seen) not in (path, *path.parents):
+            raise  # of another file, which was read meanwhile
+        what = _ADVICE.get(error.errno or 0, "Choose a folder you may write to")
+        raise ConfigError(f"{path}: cannot be written ({error.strerror or error}). {what}") from error
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all."""
     with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """What is in a file of at most `most` bytes.
+
+    Raises
+    ------
+    ConfigError
+        No such file, one that cannot be read, no regular file (a pipe, a device), or a larger one.
+    """
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise ConfigError(f"{path}: no regular file seen, one is needed. Save it to a file first")
+        with path.open("rb") as stream:
+            data = stream.read(most + 1)
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file") from None
+    except (OSError, ValueError) as error:  # ValueError: a name with a null byte
+        raise ConfigError(f"{path}: cannot be read ({error}). Make it readable, or copy it again") from error
+    if len(data) > most:
+        raise ConfigError(f"{path}: larger than {most >> 20} MB seen, no file of this kind is. Is it the right file?")
+    return data
 
 
 class _Dumper(yaml.SafeDumper):
@@ -100,23 +159,19 @@ def dump_yaml(data: dict[str, Any]) -> str:
 
 
 def load_yaml(path: Path) -> dict[str, Any]:
-    """The mapping in a YAML file.
+    """The mapping in a YAML file; its keys are text.
 
     Raises
     ------
     ConfigError
-        No such file, not YAML (with the line), or not a mapping.
+        No such file, not YAML (with the line), a key twice, too large, or not a mapping.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read as text ({error})") from error
-    try:
-        data = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
+        data = safe_yaml.load(read_bytes(path, safe_yaml.MAX_BYTES).decode("utf-8"))
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: cannot be read as text ({error}). Save it as UTF-8") from error
+    except safe_yaml.UnsafeYaml as error:
+        raise ConfigError(f"{path}: {error}") from error
     if not isinstance(data, dict):
         raise ConfigError(
             f"{path}: holds {type(data).__name__ if data is not None else 'nothing'}, a mapping is needed"

@@ -114,7 +114,7 @@ class GrowingRecording:
                 self._list_new_cameras(images)
                 append_lines(self._lines(frame, images, spread_us))
                 self.finished += 1
-        except OSError as error:
+        except (OSError, ConfigError) as error:  # ConfigError: dataset.yaml
             for path in renamed:
                 path.unlink(missing_ok=True)
             remove_leftovers(self.folder, frame)
@@ -153,7 +153,7 @@ class GrowingRecording:
                 return
             self._cameras = there
             if there:
-                with suppress(OSError):
+                with suppress(ConfigError):
                     self._write_dataset()
             else:
                 (self.folder / "dataset.yaml").unlink(missing_ok=True)
@@ -193,11 +193,12 @@ class GrowingRecording:
         numbers = [int(frame) for frame in there.frames if frame.isdigit()]
         self._next = max(numbers, default=-1) + 1
 
-    def _explain(self, error: OSError) -> str:
+    def _explain(self, error: Exception) -> str:
+        error = error if isinstance(error, OSError) else error.__cause__ or error
         kept = f"{self.finished} frame set{'s' if self.finished != 1 else ''} of this session kept"
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
             return f"{self.folder}: the disk is full; {kept}. Free space, then go on with --append"
-        return f"{self.folder}: writing failed ({error.strerror or error}); {kept}. Mend that, then go on with --append"
+        return f"{self.folder}: writing failed ({getattr(error, 'strerror', None) or error}); {kept}. Mend that, then go on with --append"
 
 
 def append_lines(lines: Sequence[tuple[Path, str, str]]) -> None:
