@@ -220,4 +220,5 @@ def test_a_wrong_table_is_named_by_line(folder, text, needle):
 
 def test_tables_of_spreadsheets_with_a_byte_order_mark_are_read(tmp_path):
     (tmp_path / "a.csv").write_bytes(b"\xef\xbb\xbfframe,distance_m\r\n0,1.5\r\n")
-    assert read_table(tmp_path / "a.csv", ("frame", "distance_m")) == [(2, {"frame": "0", "distance_m": "1.5"})]
+    rows = list(read_table(tmp_path / "a.csv", ("frame", "distance_m")))
+    assert rows == [(2, {"frame": "0", "distance_m": "1.5"})]

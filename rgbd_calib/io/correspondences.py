@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
-from rgbd_calib.io.recording import number, read_table, write_table
+from rgbd_calib.io.schemas import check_name
+from rgbd_calib.io.tables import name, number, number_or_nan, read_table, short, whole_number, write_table
 from rgbd_calib.types import BoardView, Correspondences
 
 CORRESPONDENCES = ("camera", "frame", "feature", "u_px", "v_px", "x_m", "y_m", "z_m")
@@ -34,15 +35,17 @@ def read_correspondences(path: Path) -> Correspondences:
     ConfigError
         Names the line: not a number, a pixel or a point given in part, the same observation twice.
     """
-    rows = read_table(path, CORRESPONDENCES)
     cameras: dict[str, int] = {}
     labels: dict[tuple[str, str], int] = {}
     seen: set[tuple[int, int]] = set()
     pixels: list[tuple[int, int, list[float]]] = []
     points: list[tuple[int, int, list[float]]] = []
-    for line, row in rows:
+    for line, row in read_table(path, CORRESPONDENCES):
+        if row["camera"] not in cameras:
+            _check_camera(path, line, row["camera"])
         c = cameras.setdefault(row["camera"], len(cameras))
-        p = labels.setdefault((row["frame"], row["feature"]), len(labels))
+        label = name(path, line, "frame", row["frame"]), name(path, line, "feature", row["feature"])
+        p = labels.setdefault(label, len(labels))
         if (c, p) in seen:
             raise ConfigError(
                 f"{path}: line {line}: camera {row['camera']} has feature {row['feature']} of frame {row['frame']} "
@@ -53,10 +56,8 @@ def read_correspondences(path: Path) -> Correspondences:
             texts = [row[key].strip() for key in keys]
             if any(texts):
                 values = [number(path, line, key, text) for key, text in zip(keys, texts, strict=True)]
-                if not np.all(np.isfinite(values)):
-                    raise ConfigError(f"{path}: line {line}: {', '.join(keys)}: {texts} seen, finite numbers needed")
                 into.append((c, p, values))
-    if not rows:
+    if not seen:
         raise ConfigError(f"{path}: no rows. At least two cameras with common features are needed")
 
     def column(table: list[tuple[int, int, list[float]]], k: int) -> np.ndarray:
@@ -85,16 +86,44 @@ def write_corners(path: Path, views: Iterable[BoardView]) -> None:
 
 
 def read_corners(path: Path) -> tuple[BoardView, ...]:
-    """Read what :func:`write_corners` wrote."""
-    grouped: dict[tuple[str, str], list[tuple[float, ...]]] = {}
+    """Read what :func:`write_corners` wrote.
+
+    Raises
+    ------
+    ConfigError
+        Names the line: not a number, a corner twice, a camera whose name is none.
+    """
+    grouped: dict[tuple[str, str], dict[int, tuple[float, float, float, int]]] = {}
     for line, row in read_table(path, CORNERS):
-        values = [number(path, line, key, row[key] or "nan") for key in CORNERS[2:]]
-        if not np.all(np.isfinite([values[0], values[1], values[2]])):
-            raise ConfigError(f"{path}: line {line}: feature, u_px and v_px must be finite numbers")
-        grouped.setdefault((row["camera"], row["frame"]), []).append(tuple(values))
+        key = row["camera"], row["frame"]
+        if key not in grouped:
+            _check_camera(path, line, row["camera"])
+            grouped[key] = {}
+            name(path, line, "frame", row["frame"])
+        feature = whole_number(path, line, "feature", row["feature"])
+        if feature in grouped[key]:
+            raise ConfigError(
+                f"{path}: line {line}: camera {row['camera']} has feature {feature} of frame {row['frame']} a second time; "
+                "each corner once is needed. Detect again with `rgbd-calib detect`"
+            )
+        u_px, v_px = (number(path, line, key, row[key]) for key in ("u_px", "v_px"))
+        depth_m = number_or_nan(path, line, "depth_m", row["depth_m"])
+        if depth_m <= 0:
+            raise ConfigError(
+                f"{path}: line {line}: depth_m: {depth_m:g} seen; more than 0, or nothing, needed. Correct it"
+            )
+        pixels = whole_number(path, line, "depth_pixels", row["depth_pixels"].strip() or "0")
+        grouped[key][feature] = u_px, v_px, depth_m, pixels
     views = []
-    for (camera, frame), table in grouped.items():
-        values_of = np.array(table)
-        count = np.nan_to_num(values_of[:, 4]).astype(int)
-        views.append(BoardView(camera, frame, values_of[:, 0].astype(int), values_of[:, 1:3], values_of[:, 3], count))
+    for (camera, frame), corners in grouped.items():
+        values = np.array(list(corners.values()), float)
+        ids, counts = np.array(list(corners), int), values[:, 3].astype(int)
+        views.append(BoardView(camera, frame, ids, values[:, :2], values[:, 2], counts))
     return tuple(views)
+
+
+def _check_camera(path: Path, line: int, camera: str) -> None:
+    try:
+        check_name(camera)
+    except ValueError as error:
+        raise ConfigError(f"{path}: line {line}: camera: {short(camera)} seen; {error}. Rename it") from None

@@ -193,7 +193,7 @@ class GrowingRecording:
         numbers = [int(frame) for frame in there.frames if frame.isdigit()]
         self._next = max(numbers, default=-1) + 1
 
-    def _explain(self, error: Exception) -> str:
+    def _explain(self, error: BaseException) -> str:
         error = error if isinstance(error, OSError) else error.__cause__ or error
         kept = f"{self.finished} frame set{'s' if self.finished != 1 else ''} of this session kept"
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):

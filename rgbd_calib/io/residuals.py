@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from array import array
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +11,7 @@ import numpy as np
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.io.recording import number, read_table, write_table
+from rgbd_calib.io.tables import number_or_nan, read_table, short, write_table
 
 COLUMNS = (
     "camera",
@@ -97,19 +99,26 @@ def read_residuals(path: Path) -> Residuals:
     Raises
     ------
     ConfigError
-        Names the line: not a number, or another word under `used`.
+        Names the line: not a number, a corner twice, or another word under `used`.
     """
     flags = {word: pair for pair, word in _USED.items()}
-    table, numbers, used = [], [], []
+    table: dict[tuple[str, str, str], None] = {}
+    numbers, used = array("d"), []
     for line, row in read_table(path, COLUMNS):
         if row["used"] not in flags:
             raise ConfigError(
-                f"{path}: line {line}: used: {row['used']!r} seen, one of {', '.join(flags)} needed. Calibrate again"
+                f"{path}: line {line}: used: {short(row['used'])} seen, one of {', '.join(flags)} needed. Calibrate again"
             )
-        table.append((row["camera"], row["frame"], row["feature"]))
-        numbers.append([number(path, line, key, row[key] or "nan") for key in COLUMNS[3:9]])
+        label = sys.intern(row["camera"]), sys.intern(row["frame"]), sys.intern(row["feature"])
+        if label in table:
+            raise ConfigError(
+                f"{path}: line {line}: camera, frame and feature {short(label)} stand there twice; once is needed. "
+                "Calibrate again"
+            )
+        table[label] = None
+        numbers.extend(number_or_nan(path, line, key, row[key]) for key in COLUMNS[3:9])
         used.append(flags[row["used"]])
-    camera, frame, feature = np.array(table, dtype=str).reshape(-1, 3).T
+    camera, frame, feature = np.array(list(table), dtype=str).reshape(-1, 3).T
     values = np.array(numbers, float).reshape(-1, 6)
     pixel, depth = np.array(used, bool).reshape(-1, 2).T
     return Residuals(camera, frame, feature, values[:, :2], values[:, 2:4], values[:, 4], values[:, 5], pixel, depth)

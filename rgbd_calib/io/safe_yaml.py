@@ -93,16 +93,16 @@ def _check(text: str) -> None:
             continue
         if not isinstance(event, yaml.NodeEvent):
             continue
-        line = event.start_mark.line + 1
-        tag = getattr(event, "tag", None)
-        if tag not in (None, "!"):
-            raise UnsafeYaml(f"line {line}: tag {tag[:60]!r} seen; plain YAML is needed. Take the tag out")
+        line = event.start_mark.line + 1 if event.start_mark else 0
+        tag = getattr(event, "tag", None) or "!"
+        if tag != "!":
+            raise UnsafeYaml(f"line {line}: tag {str(tag)[:60]!r} seen; plain YAML is needed. Take the tag out")
         if levels and levels[-1].mapping:
             _check_key(event, levels[-1], line)
         if isinstance(event, yaml.AliasEvent):
             if event.anchor not in sizes:
                 raise UnsafeYaml(
-                    f"line {line}: '*{event.anchor[:60]}' stands for what is not complete there. Write it out"
+                    f"line {line}: '*{str(event.anchor)[:60]}' stands for what is not complete there. Write it out"
                 )
             values += sizes[event.anchor]
         else:

@@ -7,20 +7,59 @@ an error with the suggestion.
 from __future__ import annotations
 
 from difflib import get_close_matches
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry import so3
 from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.io.tables import MAX_NAME, short
 from rgbd_calib.types import Board, DepthBias
 
 VERSION = 1
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+MAX_SIDE = 8192
+"""Of an image, px: twice the largest RGB-D camera's. 8192 x 8192 pixels of colour and of depth in metres are 0.7 GB."""
+MAX_CORNERS = 256
+"""In a row or column of a board."""
+MAX_UNKNOWN_KEYS = 200
+LARGEST = 1e12
+"""No number of a rig is larger, and the square of its cube is still a double."""
+
+
+def _no_boolean(value: Any) -> Any:
+    if isinstance(value, bool):
+        raise ValueError("a number is needed")
+    return value
+
+
+def check_name(text: str) -> str:
+    """A camera's name, which becomes a folder's.
+
+    Raises
+    ------
+    ValueError
+        It would lead elsewhere, or cannot be shown.
+    """
+    alone = PurePosixPath(text).name == text and PureWindowsPath(text).name == text
+    if not alone or text.startswith(".") or not text.isprintable() or len(text) > MAX_NAME or text != text.strip():
+        raise ValueError(
+            f"a camera's name is that of its folder: 1 to {MAX_NAME} printable characters without / and \\, and no dot first"
+        )
+    return text
+
+
+Name = Annotated[str, AfterValidator(check_name)]
+Finite = Annotated[float, BeforeValidator(_no_boolean), Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+Positive = Annotated[float, BeforeValidator(_no_boolean), Field(gt=0, le=LARGEST, allow_inf_nan=False)]
+Side = Annotated[int, BeforeValidator(_no_boolean), Field(gt=0, le=MAX_SIDE)]
+Corners = Annotated[int, BeforeValidator(_no_boolean), Field(ge=2, le=MAX_CORNERS)]
+Length = Annotated[float, BeforeValidator(_no_boolean), Field(ge=0.001, le=1, allow_inf_nan=False)]
+"""Metres, of a part of a board."""
+DepthUnit = Annotated[float, BeforeValidator(_no_boolean), Field(ge=1e-6, le=1, allow_inf_nan=False)]
+"""Metres for each unit of depth."""
 Vector3 = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Vector4 = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 Matrix4 = Annotated[list[Vector4], Field(min_length=4, max_length=4)]
@@ -35,10 +74,15 @@ class _Model(BaseModel):
     @classmethod
     def _no_misspelt_key(cls, data: Any) -> Any:
         if isinstance(data, dict):
-            for key in data:
+            unknown = [key for key in data if key not in cls.model_fields]
+            if len(unknown) > MAX_UNKNOWN_KEYS:
+                raise ValueError(
+                    f"{len(unknown)} keys that nobody knows, as {short(unknown[0])}; is it the right file?"
+                )
+            for key in unknown:
                 near = get_close_matches(str(key), [k for k in cls.model_fields if k not in data], 1, 0.8)
-                if key not in cls.model_fields and near:
-                    raise ValueError(f"no such key '{key}'; did you mean '{near[0]}'?")
+                if near:
+                    raise ValueError(f"no such key {short(key)}; did you mean '{near[0]}'?")
         return data
 
 
@@ -46,8 +90,8 @@ class IntrinsicsModel(_Model):
     """Pixel (0, 0) is the centre of the top left pixel; distortion is k1, k2, p1, p2, k3 (OpenCV's order)."""
 
     model: Literal["opencv"] = "opencv"
-    width: int = Field(gt=0)
-    height: int = Field(gt=0)
+    width: Side
+    height: Side
     fx: Positive
     fy: Positive
     cx: Finite
@@ -102,12 +146,12 @@ class BoardModel(_Model):
     """`cols` and `rows` count inner corners; `square`, `thickness` and `marker` are metres."""
 
     type: Literal["checkerboard", "charuco"] = "checkerboard"
-    cols: int = Field(ge=2)
-    rows: int = Field(ge=2)
-    square: Positive
+    cols: Corners
+    rows: Corners
+    square: Length
     two_sided: bool = False
-    thickness: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
-    marker: Positive | None = None
+    thickness: Annotated[float, BeforeValidator(_no_boolean), Field(ge=0, le=0.1, allow_inf_nan=False)] = 0.0
+    marker: Length | None = None
     dictionary: str | None = None
     legacy: bool | None = None
     """A ChArUco board in the layout before OpenCV 4.6; nothing means no."""
@@ -150,9 +194,9 @@ class BoardModel(_Model):
 
 
 class DatasetCameraModel(_Model):
-    width: int = Field(gt=0)
-    height: int = Field(gt=0)
-    depth_scale: Positive | None = None
+    width: Side
+    height: Side
+    depth_scale: DepthUnit | None = None
     serial: str | None = None
     intrinsics: IntrinsicsModel | None = None
 
@@ -171,9 +215,9 @@ class DatasetModel(_Model):
 
     format: Literal["rgbd-calib/dataset"]
     version: Literal[1]
-    depth_scale: Positive = 0.001
+    depth_scale: DepthUnit = 0.001
     depth_registered: bool = True
-    cameras: Annotated[dict[str, DatasetCameraModel], Field(min_length=1)]
+    cameras: Annotated[dict[Name, DatasetCameraModel], Field(min_length=1)]
     board: BoardModel | None = None
 
 
@@ -187,8 +231,8 @@ class RigCameraModel(_Model):
     covariance: Matrix6 | None = None
     depth_bias: DepthBiasModel | None = None
     intrinsics_sd: Annotated[list[Finite], Field(min_length=9, max_length=9)] | None = None
-    sigma_2d_px: float | None = None
-    sigma_3d_m: float | None = None
+    sigma_2d_px: Finite | None = None
+    sigma_3d_m: Finite | None = None
     sigma_3d_model: str | None = None
 
     @model_validator(mode="after")
@@ -211,7 +255,7 @@ class RigModel(_Model):
     format: Literal["rgbd-calib/rig"]
     version: Literal[1]
     reference: str | None = None
-    cameras: Annotated[dict[str, RigCameraModel], Field(min_length=1)]
+    cameras: Annotated[dict[Name, RigCameraModel], Field(min_length=1)]
     boards: dict[str, Matrix4] | None = None
     quality: dict[str, Any] = {}
     provenance: dict[str, Any] = {}
@@ -239,22 +283,20 @@ def parse(model: type[M], data: dict[str, Any], path: Path) -> M:
     if wanted is not None:
         name = str(wanted.annotation.__args__[0])  # type: ignore[union-attr]
         if data.get("format") != name:
-            raise ConfigError(f"{path}: format: {data.get('format')!r} seen, '{name}' needed. Is it the right file?")
+            raise ConfigError(
+                f"{path}: format: {short(data.get('format'))} seen, '{name}' needed. Is it the right file?"
+            )
         if data.get("version") != VERSION:
             raise ConfigError(
-                f"{path}: version: {data.get('version')!r} seen, this program reads version {VERSION}. "
+                f"{path}: version: {short(data.get('version'))} seen, this program reads version {VERSION}. "
                 "Convert the file, or install the release of rgbd-calib that wrote it"
             )
     try:
         return model.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "(top level)"
-        seen = "" if isinstance(first["input"], dict) else f" {_short(first['input'])} seen;"
+        key = ".".join(str(part) for part in first["loc"] if part != "[key]") or "(top level)"
+        key = key if key.isprintable() and len(key) < 200 else short(key)
+        seen = "" if isinstance(first["input"], dict) else f" {short(first['input'])} seen;"
         more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
         raise ConfigError(f"{path}: {key}:{seen} {first['msg'].removeprefix('Value error, ')}{more}") from None
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."

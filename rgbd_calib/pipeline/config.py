@@ -11,6 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.files import load_yaml
+from rgbd_calib.io.tables import short
 from rgbd_calib.stages.association import AssociationParams
 from rgbd_calib.stages.board_pose import BoardPoseParams
 from rgbd_calib.stages.bundle import BundleParams
@@ -20,7 +21,9 @@ from rgbd_calib.stages.initialization import InitializationParams
 from rgbd_calib.stages.intrinsics import IntrinsicsParams
 from rgbd_calib.stages.plane_filter import PlaneFilterParams
 from rgbd_calib.stages.refinement import RefinementParams
+from rgbd_calib.stages.self_check import SelfCheckParams
 
+_LARGEST = 1e12
 Method = Literal["init", "ba", "icp", "baicp+", "biobjective", "bundle"]
 
 
@@ -41,6 +44,7 @@ class Config:
     initialization: InitializationParams = field(default_factory=InitializationParams)
     refinement: RefinementParams = field(default_factory=RefinementParams)
     bundle: BundleParams = field(default_factory=BundleParams)
+    self_check: SelfCheckParams = field(default_factory=SelfCheckParams)
 
 
 def load_config(path: Path | None, **over: Any) -> Config:
@@ -66,11 +70,13 @@ def load_config(path: Path | None, **over: Any) -> Config:
                 into = into.setdefault(section, {})
             into[last] = value
     try:
-        return TypeAdapter(Config).validate_python(data)
+        config = TypeAdapter(Config).validate_python(data)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        raise ConfigError(f"{where}: {key}: {first['input']!r} seen; {first['msg']}") from None
+        raise ConfigError(f"{where}: {key}: {short(first['input'])} seen; {first['msg']}") from None
+    _check_numbers(asdict(config), where, "")
+    return config
 
 
 def as_plain(config: Config) -> dict[str, Any]:
@@ -87,13 +93,28 @@ def with_method(config: Config, method: Method) -> Config:
 
 def _check_keys(section: type, data: Any, where: str, prefix: str) -> None:
     if not isinstance(data, dict):
-        raise ConfigError(f"{where}: {prefix.rstrip('.')}: {data!r} seen, a section of keys needed")
+        raise ConfigError(f"{where}: {prefix.rstrip('.')}: {short(data)} seen, a section of keys needed")
     known = {f.name: f for f in fields(section)}
     for key, value in data.items():
         if key not in known:
             near = get_close_matches(str(key), known, 1)
             hint = f"Did you mean '{prefix}{near[0]}'?" if near else f"Known: {', '.join(known)}"
-            raise ConfigError(f"{where}: {prefix}{key}: no such setting. {hint}")
+            raise ConfigError(f"{where}: {prefix}{_shown(key)}: no such setting. {hint}")
         factory = known[key].default_factory
         if is_dataclass(factory):
             _check_keys(factory, value, where, f"{prefix}{key}.")
+
+
+def _check_numbers(section: dict[str, Any], where: str, prefix: str) -> None:
+    """Raise ConfigError for a number that no setting can have: all are counts, sizes and shares."""
+    for key, value in section.items():
+        if isinstance(value, dict):
+            _check_numbers(value, where, f"{prefix}{key}.")
+        elif isinstance(value, int | float) and not 0 <= value <= _LARGEST:
+            raise ConfigError(
+                f"{where}: {prefix}{key}: {value} seen, a number from 0 to {_LARGEST:g} needed. Correct it"
+            )
+
+
+def _shown(key: str) -> str:
+    return key if key.isprintable() and len(key) < 60 else short(key)
