@@ -23,6 +23,7 @@ from rgbd_calib.io.correspondences import read_corners, write_corners
 from rgbd_calib.io.recording import Recording, open_recording, save_color, save_depth, write_table
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.doctor import Examination, examine
+from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.stages.detect import DetectParams, detect_view
 from rgbd_calib.stages.doctor import hull_mask
 from rgbd_calib.synthetic.spoil import spoil, true_corners
@@ -192,7 +193,7 @@ def main() -> None:
         flush=True,
     )
     if not given.only:
-        print(row("none", [], examine(source, Config(), corners=given.corners, jobs=1)), flush=True)
+        print(row("none", [], examine(source, Config(), corners=given.corners, workers=Workers(1))), flush=True)
     for name in given.only or EXPECTED:
         with tempfile.TemporaryDirectory() as folder:
             out, rng = Path(folder) / "spoiled", np.random.default_rng(3)
@@ -204,7 +205,7 @@ def main() -> None:
             else:
                 spoiled = list(spoil(source.path, out, name, true, given.share, rng))
             search_again(source, open_recording(out), views, Path(folder) / "corners.csv")
-            result = examine(open_recording(out), Config(), corners=Path(folder) / "corners.csv", jobs=1)
+            result = examine(open_recording(out), Config(), corners=Path(folder) / "corners.csv", workers=Workers(1))
             print(row(name, spoiled, result), flush=True)
 
 

@@ -23,6 +23,7 @@ from rgbd_calib.io.rig import read_boards, read_rig
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import detect, silent
 from rgbd_calib.pipeline.verify import Verification, verify, verify_views
+from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.stages.detect import DetectParams
 from rgbd_calib.stages.displacement import VerdictParams
 from rgbd_calib.synthetic import recording as simulated
@@ -68,7 +69,7 @@ def rendered(rig: Rig, kind: str, name: str, out: Path) -> str:
         # another seed draws other board poses and noise; the rig is the given one
         simulated.simulate(out, replace(params, seed=77), 1, silent)
     recording = open_recording(out / "extrinsic")
-    found = detect(recording, DetectParams(), 1)
+    found = detect(recording, DetectParams(), Workers(1))
     return row(kind + ", rendered", name, 6, [verify(rig, recording, found.views, Config(), VerdictParams())])
 
 

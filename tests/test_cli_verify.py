@@ -17,6 +17,7 @@ from rgbd_calib.io.correspondences import write_corners
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_boards, read_rig, write_intrinsics, write_rig
 from rgbd_calib.pipeline.detection import detect
+from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.stages.detect import DetectParams
 from rgbd_calib.types import Rig, RigCamera
 
@@ -29,7 +30,7 @@ def drawn(tmp_path_factory):
     """Folder with a recording, its corners and the rig that drew it."""
     folder = tmp_path_factory.mktemp("drawn")
     recording = open_recording(draw_recording(folder / "recording", cameras=3, frames=7))
-    write_corners(folder / "corners.csv", detect(recording, DetectParams(), 2).views)
+    write_corners(folder / "corners.csv", detect(recording, DetectParams(), Workers(2)).views)
     cameras = {
         f"C{i + 1}": RigCamera(LENS, camera_pose(i, 3), SD if i else np.zeros((6, 6)), None, {"sigma_2d_px": 0.1})
         for i in range(3)

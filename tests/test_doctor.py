@@ -18,6 +18,7 @@ from rgbd_calib.io.recording import CameraInfo, open_recording, save_color, save
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import detect
 from rgbd_calib.pipeline.doctor import examine
+from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.stages.detect import DetectParams, detect_view
 from rgbd_calib.stages.doctor import hull_mask
 
@@ -32,7 +33,7 @@ def good(tmp_path_factory):
     folder = draw_recording(tmp_path_factory.mktemp("doctor") / "good", cameras=3, frames=9, seed=2)
     write_dataset(folder, {c: CameraInfo(WIDTH, HEIGHT, intrinsics=LENS) for c in ("C1", "C2", "C3")}, BOARD)
     recording = open_recording(folder)
-    return recording, detect(recording, DetectParams(), 2).views
+    return recording, detect(recording, DetectParams(), Workers(2)).views
 
 
 def checkup(recording, views):
@@ -45,7 +46,7 @@ def checkup(recording, views):
         again = None
     corners = recording.path.parent / "corners.csv"
     write_corners(corners, [*kept, *([again] if again is not None else [])])
-    return examine(recording, Config(), corners=corners, jobs=2)
+    return examine(recording, Config(), corners=corners, workers=Workers(2))
 
 
 def carried(image, dx):
@@ -135,7 +136,7 @@ def test_is_silent_on_a_good_recording(good):
     recording, views = good
     corners = recording.path.parent / "corners.csv"
     write_corners(corners, views)
-    assert examine(recording, Config(), corners=corners, jobs=2).findings == ()
+    assert examine(recording, Config(), corners=corners, workers=Workers(2)).findings == ()
 
 
 def test_without_lenses_it_estimates_them_and_only_advises_where_to_hold_the_board(good):
@@ -143,7 +144,7 @@ def test_without_lenses_it_estimates_them_and_only_advises_where_to_hold_the_boa
     corners = recording.path.parent / "corners.csv"
     write_corners(corners, views)
     unknown = replace(recording, cameras={c: CameraInfo(WIDTH, HEIGHT) for c in recording.cameras})
-    result = examine(unknown, Config(), corners=corners, jobs=2)
+    result = examine(unknown, Config(), corners=corners, workers=Workers(2))
     assert result.healthy
     assert {f.kind for f in result.findings} == {"coverage"}, "nine frames do not fill the images"
 
@@ -178,7 +179,7 @@ def test_cameras_that_share_no_view_and_one_that_saw_nothing(good, tmp_path):
     half = {"C1": lambda f: f < "000004", "C2": lambda f: f >= "000004", "C3": lambda f: False}
     kept = [v for v in views if half[v.camera](v.frame)]
     write_corners(tmp_path / "few.csv", kept)
-    findings = examine(recording, Config(), corners=tmp_path / "few.csv", jobs=2).findings
+    findings = examine(recording, Config(), corners=tmp_path / "few.csv", workers=Workers(2)).findings
     sentences = " / ".join(f.sentence for f in findings if f.matters)
     assert "C1 and C2 share no view yet: hold the board where both see it" in sentences
     assert "C3 has not seen the board yet" in sentences
@@ -191,7 +192,7 @@ def test_wall_distances_that_span_too_little(tmp_path):
     write_dataset(tmp_path / "walls", {"C1": CameraInfo(64, 48)}, None)
     rows = [(str(i), d) for i, d in enumerate((1.0, 1.1, 1.2))]
     write_table(tmp_path / "walls" / "C1" / "distances.csv", ("frame", "distance_m"), rows)
-    (finding,) = examine(open_recording(tmp_path / "walls"), Config(), jobs=1).findings
+    (finding,) = examine(open_recording(tmp_path / "walls"), Config(), workers=Workers(1)).findings
     assert finding.matters and "3 wall distances from 1.00 to 1.20 m" in finding.sentence
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from rgbd_calib.cli.options import (
     config_option,
     corners_option,
-    jobs_option,
     method_options,
     output_option,
     overwrite_option,
@@ -18,8 +17,12 @@ from rgbd_calib.cli.options import (
     recording_argument,
     refuse_existing,
     say,
+    workers_options,
 )
 from rgbd_calib.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rgbd_calib.pipeline.workers import Workers
 
 
 @click.command()
@@ -53,7 +56,7 @@ from rgbd_calib.errors import ConfigError
     "--report", type=click.Path(path_type=Path), help="Folder for a report, index.html: whether to trust the rig."
 )
 @config_option
-@jobs_option
+@workers_options
 @overwrite_option
 def command(
     recording: Path,
@@ -72,7 +75,7 @@ def command(
     only: str | None,
     report: Path | None,
     config: Path | None,
-    jobs: int | None,
+    workers: Workers,
     overwrite: bool,
 ) -> None:
     """Calibrate the rig of RECORDING: poses, and with the default method intrinsics and depth bias too.
@@ -116,7 +119,7 @@ def command(
                 "--report goes without --update; afterwards `rgbd-calib report RIG -o DIR` writes it"
             )
         refuse_existing(output, overwrite)
-        updating.update(recording, update, output, only, world, intrinsics, depth_bias, corners, config, seed, jobs)
+        updating.update(recording, update, output, only, world, intrinsics, depth_bias, corners, config, seed, workers)
         return
     if only is not None:
         raise click.UsageError("--only CAMERA goes with --update RIG")
@@ -154,14 +157,14 @@ def command(
         )
     reference_of(settings, list(opened.cameras))
     check_sources(opened, intrinsics, depth_bias)
-    found = detections_from(opened, corners, settings.detect, jobs, progress)
+    found = detections_from(opened, corners, settings.detect, workers, progress)
     result = calibrate(
         opened,
         settings,
         intrinsics=intrinsics,
         depth_bias=depth_bias,
         detections=found,
-        jobs=jobs,
+        workers=workers,
         progress=progress,
     )
     if world is not None:

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from rgbd_calib.cli.options import (
     config_option,
     corners_option,
-    jobs_option,
     output_option,
     overwrite_option,
     progress,
     recording_argument,
     refuse_existing,
     say,
+    workers_options,
 )
+
+if TYPE_CHECKING:
+    from rgbd_calib.pipeline.workers import Workers
 
 
 @click.command()
@@ -29,7 +33,7 @@ from rgbd_calib.cli.options import (
 )
 @corners_option
 @config_option
-@jobs_option
+@workers_options
 @overwrite_option
 def command(
     recording: Path,
@@ -37,7 +41,7 @@ def command(
     intrinsics: Path | None,
     corners: Path | None,
     config: Path | None,
-    jobs: int | None,
+    workers: Workers,
     overwrite: bool,
 ) -> None:
     """Fit each camera's depth bias, z_true = z + c0 + c1 z + c2 z^2 ..., from RECORDING.
@@ -62,8 +66,8 @@ def command(
 
     opened, settings = open_recording(recording), load_config(config)
     lenses = read_intrinsics(intrinsics) if intrinsics else {}
-    found = detections_from(opened, corners, settings.detect, jobs, progress) if corners else None
-    fits = depth_bias_of_recording(opened, lenses, settings, found, jobs, progress)
+    found = detections_from(opened, corners, settings.detect, workers, progress) if corners else None
+    fits = depth_bias_of_recording(opened, lenses, settings, found, workers, progress)
     statistics = {name: {"samples": samples_of(fit)} for name, fit in fits.items()}
     provenance = {**provenance_of(settings), "recording": str(recording), "recording_sha256": opened.digest()}
     write_depth_bias(output, {name: fit.bias for name, fit in fits.items()}, statistics, {}, provenance)

@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from rgbd_calib.cli.options import (
     config_option,
-    jobs_option,
     output_option,
     overwrite_option,
     progress,
     recording_argument,
     refuse_existing,
     say,
+    workers_options,
 )
+
+if TYPE_CHECKING:
+    from rgbd_calib.pipeline.workers import Workers
 
 
 @click.command()
 @recording_argument
 @output_option("the corners, a .csv file")
 @config_option
-@jobs_option
+@workers_options
 @overwrite_option
-def command(recording: Path, output: Path, config: Path | None, jobs: int | None, overwrite: bool) -> None:
+def command(recording: Path, output: Path, config: Path | None, workers: Workers, overwrite: bool) -> None:
     """Find the board of RECORDING in all its images: corners in px, and the depth measured there.
 
     The other commands detect for themselves; with --corners they take this table instead, which saves the time where
@@ -42,7 +46,7 @@ def command(recording: Path, output: Path, config: Path | None, jobs: int | None
     from rgbd_calib.pipeline.detection import detect
 
     opened, settings = open_recording(recording), load_config(config)
-    found = detect(opened, settings.detect, jobs, progress)
+    found = detect(opened, settings.detect, workers, progress)
     write_corners(output, found.views)
     for camera, files in opened.color_files.items():
         views, missed = found.of(camera), [frame for name, frame in found.missed if name == camera]

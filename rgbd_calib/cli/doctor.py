@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from rgbd_calib.cli.options import config_option, corners_option, jobs_option, progress, recording_argument, say
+from rgbd_calib.cli.options import config_option, corners_option, progress, recording_argument, say, workers_options
+
+if TYPE_CHECKING:
+    from rgbd_calib.pipeline.workers import Workers
 
 
 @click.command
@@ -19,14 +23,14 @@ from rgbd_calib.cli.options import config_option, corners_option, jobs_option, p
 @corners_option
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
 @config_option
-@jobs_option
+@workers_options
 def command(
     recording: Path,
     intrinsics: Path | None,
     corners: Path | None,
     as_json: bool,
     config: Path | None,
-    jobs: int | None,
+    workers: Workers,
 ) -> int:
     """Say what is wrong with RECORDING before any calibration, and what to film next.
 
@@ -57,7 +61,7 @@ def command(
         load_config(config),
         intrinsics=intrinsics,
         corners=corners,
-        jobs=jobs,
+        workers=workers,
         progress=progress,
     )
     if as_json:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from rgbd_calib.cli.options import config_option, corners_option, jobs_option, progress
+from rgbd_calib.cli.options import config_option, corners_option, progress, workers_options
+
+if TYPE_CHECKING:
+    from rgbd_calib.pipeline.workers import Workers
 
 
 @click.command()
@@ -19,7 +22,7 @@ from rgbd_calib.cli.options import config_option, corners_option, jobs_option, p
 @corners_option
 @click.option("--json", "as_json", is_flag=True, help="Print all numbers as JSON.")
 @config_option
-@jobs_option
+@workers_options
 def command(
     rig: Path,
     truth: Path | None,
@@ -27,7 +30,7 @@ def command(
     corners: Path | None,
     as_json: bool,
     config: Path | None,
-    jobs: int | None,
+    workers: Workers,
 ) -> None:
     """Evaluate RIG against the truth of a simulation, or against a recording.
 
@@ -52,7 +55,7 @@ def command(
         summary = evaluate_truth(rig, truth)
     else:
         assert recording is not None
-        summary = evaluate_recording(rig, recording, corners, load_config(config), jobs, progress)
+        summary = evaluate_recording(rig, recording, corners, load_config(config), workers, progress)
     if as_json:
         click.echo(json.dumps(summary, indent=2))
         return

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from rgbd_calib.cli.options import (
     config_option,
     corners_option,
-    jobs_option,
     output_option,
     overwrite_option,
     progress,
     recording_argument,
     refuse_existing,
     say,
+    workers_options,
 )
+
+if TYPE_CHECKING:
+    from rgbd_calib.pipeline.workers import Workers
 
 
 @click.command()
@@ -24,10 +28,10 @@ from rgbd_calib.cli.options import (
 @output_option("intrinsics.yaml")
 @corners_option
 @config_option
-@jobs_option
+@workers_options
 @overwrite_option
 def command(
-    recording: Path, output: Path, corners: Path | None, config: Path | None, jobs: int | None, overwrite: bool
+    recording: Path, output: Path, corners: Path | None, config: Path | None, workers: Workers, overwrite: bool
 ) -> None:
     """Calibrate the intrinsics of each camera from its views of the board in RECORDING (Zhang's method).
 
@@ -46,7 +50,7 @@ def command(
     from rgbd_calib.pipeline.prepare import intrinsics_of_views
 
     opened, settings = open_recording(recording), load_config(config)
-    found = detections_from(opened, corners, settings.detect, jobs, progress)
+    found = detections_from(opened, corners, settings.detect, workers, progress)
     results = intrinsics_of_views(opened, found, settings)
     statistics = {
         name: {

@@ -25,6 +25,30 @@ jobs_option = click.option(
 )
 
 
+def workers_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """--jobs, --dask and --no-cache, given to the command as `workers`."""
+
+    @jobs_option
+    @click.option(
+        "--dask",
+        metavar="ADDRESS",
+        help="Scheduler of a Dask cluster to look at the images, such as tcp://10.0.0.1:8786; its workers need this version "
+        "of rgbd-calib, and RECORDING under the same path.",
+    )
+    @click.option("--no-cache", is_flag=True, help="Find every board anew, and keep nothing (see rgbd-calib cache).")
+    @wraps(command)
+    def with_workers(*args: Any, jobs: int | None, dask: str | None, no_cache: bool, **options: Any) -> Any:
+        if jobs is not None and dask is not None:
+            raise click.UsageError("--jobs goes without --dask: the cluster has the workers that it has")
+        from rgbd_calib.io.cache import default_folder
+        from rgbd_calib.pipeline.workers import Workers
+
+        workers = Workers(jobs, dask, None if no_cache else default_folder(), say)
+        return command(*args, workers=workers, **options)
+
+    return with_workers
+
+
 redist_option = click.option(
     "--redist",
     type=click.Path(path_type=Path),

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from rgbd_calib.cli.options import progress, say
 from rgbd_calib.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rgbd_calib.pipeline.workers import Workers
 
 
 def update(
@@ -21,7 +25,7 @@ def update(
     corners: Path | None,
     config: Path | None,
     seed: int | None,
-    jobs: int | None,
+    workers: Workers,
 ) -> None:
     """Change the rig file `rig_path` by what RECORDING shows, and write it to `output`."""
     if (only is None) == (world is None):
@@ -43,15 +47,23 @@ def update(
     if only is None:
         assert world is not None
         found = (
-            detections_from(opened, corners, settings.detect, jobs, progress) if world.startswith("board:") else None
+            detections_from(opened, corners, settings.detect, workers, progress) if world.startswith("board:") else None
         )
         moved, boards = rig_in_world(rig, world, opened, found, settings)
         write_rig(output, moved, boards)
         _tell_poses(moved)
     else:
-        found = detections_from(opened, corners, settings.detect, jobs, progress)
+        found = detections_from(opened, corners, settings.detect, workers, progress)
         result = update_camera(
-            rig, only, opened, settings, found, intrinsics=intrinsics, depth_bias=depth_bias, progress=progress
+            rig,
+            only,
+            opened,
+            settings,
+            found,
+            intrinsics=intrinsics,
+            depth_bias=depth_bias,
+            workers=workers,
+            progress=progress,
         )
         provenance = {"only": only, **provenance_of(settings), "recording": str(recording)}
         write_update(rig_path, output, only, result.entry, result.report, provenance)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from rgbd_calib.cli.options import config_option, corners_option, jobs_option, progress, say
+from rgbd_calib.cli.options import config_option, corners_option, progress, say, workers_options
+
+if TYPE_CHECKING:
+    from rgbd_calib.pipeline.workers import Workers
 
 
 @click.command
@@ -23,7 +26,7 @@ from rgbd_calib.cli.options import config_option, corners_option, jobs_option, p
 @corners_option
 @click.option("--json", "as_json", is_flag=True, help="Print all numbers as JSON.")
 @config_option
-@jobs_option
+@workers_options
 def command(
     rig_path: Path,
     recording: Path,
@@ -31,7 +34,7 @@ def command(
     corners: Path | None,
     as_json: bool,
     config: Path | None,
-    jobs: int | None,
+    workers: Workers,
 ) -> int:
     """Tell by a few new frames of the board whether RIG still holds, and which camera moved.
 
@@ -63,7 +66,7 @@ def command(
     rig, opened, settings = read_rig(rig_path), open_recording(recording), load_config(config)
     if left_out(opened, rig):
         say(left_out(opened, rig))
-    found = detections_from(opened, corners, settings.detect, jobs, progress)
+    found = detections_from(opened, corners, settings.detect, workers, progress)
     result = verify(rig, opened, found.views, settings, VerdictParams(max_m=max_mm / 1e3))
     numbers = summary(result)
     if as_json:

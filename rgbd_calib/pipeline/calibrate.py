@@ -22,6 +22,7 @@ from rgbd_calib.pipeline.config import Config, as_plain
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.pipeline.evaluate import Evaluation, against_views
 from rgbd_calib.pipeline.prepare import IntrinsicsSource, check_sources, resolve_depth_bias, resolve_intrinsics
+from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.stages.association import AssociationResult, associate
 from rgbd_calib.stages.board_pose import pose_view
 from rgbd_calib.stages.bundle import (
@@ -79,7 +80,7 @@ def calibrate(
     depth_bias: Path | None = None,
     detections: Detections | None = None,
     intrinsic_detections: Detections | None = None,
-    jobs: int | None = None,
+    workers: Workers | None = None,
     progress: Progress = silent,
 ) -> Calibration:
     """Calibrate a rig from a recording of a board.
@@ -95,7 +96,9 @@ def calibrate(
         See the stages.
     """
     board = board_of(recording)
-    views = prepare_views(recording, config, intrinsics, depth_bias, detections, jobs, progress, intrinsic_detections)
+    views = prepare_views(
+        recording, config, intrinsics, depth_bias, detections, workers, progress, intrinsic_detections
+    )
     cameras = list(recording.cameras)
     reference = views.association.reference
     lenses, biases = views.lenses.intrinsics, views.biases
@@ -139,16 +142,8 @@ def calibrate(
         "intrinsics": views.lenses.origin,
         "depth_bias": views.bias_origin,
     }
-    return Calibration(
-        replace(rig, quality={"method": config.method, **plain(quality)}, provenance=provenance),
-        views,
-        placed,
-        data,
-        boards,
-        residuals,
-        joint,
-        evaluation,
-    )
+    rig = replace(rig, quality={"method": config.method, **plain(quality)}, provenance=provenance)
+    return Calibration(rig, views, placed, data, boards, residuals, joint, evaluation)
 
 
 def prepare_views(
@@ -157,7 +152,7 @@ def prepare_views(
     intrinsics: Path | None = None,
     depth_bias: Path | None = None,
     detections: Detections | None = None,
-    jobs: int | None = None,
+    workers: Workers | None = None,
     progress: Progress = silent,
     intrinsic_detections: Detections | None = None,
 ) -> Views:
@@ -171,9 +166,11 @@ def prepare_views(
             "or calibrate this one alone with `rgbd-calib intrinsics` and `rgbd-calib depth-bias`"
         )
     check_sources(recording, intrinsics, depth_bias)
-    detections = detections or detect(recording, config.detect, jobs, progress)
-    lenses = resolve_intrinsics(intrinsics, recording, detections, config, progress, intrinsic_detections)
-    biases, bias_origin, samples = resolve_depth_bias(depth_bias, recording, lenses.intrinsics, config, progress)
+    detections = detections or detect(recording, config.detect, workers, progress)
+    lenses = resolve_intrinsics(intrinsics, recording, detections, config, workers, progress, intrinsic_detections)
+    biases, bias_origin, samples = resolve_depth_bias(
+        depth_bias, recording, lenses.intrinsics, config, workers, progress
+    )
     filtered = filter_planes(detections.views, lenses.intrinsics, biases, config.plane_filter, config.seed)
     posed = [
         pose_view(view, board, lenses.intrinsics[view.camera], biases.get(view.camera), config.board_pose)

@@ -1,19 +1,19 @@
-"""All images of a recording through the detector, in threads (OpenCV works outside Python's lock)."""
+"""All images of a recording through the detector; what was found before is taken from the cache."""
 
 from __future__ import annotations
 
-import os
+import socket
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from contextlib import closing
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import cv2
 
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.io.correspondences import read_corners
 from rgbd_calib.io.recording import Recording
+from rgbd_calib.pipeline.detection_cache import Contents, DetectionCache, contents, detector
+from rgbd_calib.pipeline.workers import Ready, Workers
 from rgbd_calib.stages.detect import DetectParams, detect_view
 from rgbd_calib.types import Board, BoardView
 
@@ -54,10 +54,56 @@ def board_of(recording: Recording) -> Board:
     return recording.board
 
 
+@dataclass(frozen=True)
+class ImageTask:
+    """An image to look at, in any process that sees its files."""
+
+    recording: Recording
+    """Of this image alone."""
+    camera: str
+    frame: str
+    board: Board
+    params: DetectParams
+    hashed: bool
+    """The files' hashes are wanted too."""
+
+    def __str__(self) -> str:
+        return f"{self.recording.path}: camera {self.camera}, frame {self.frame}"
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was seen in an image, of which contents, by which detector; the last two are None for what was known."""
+
+    view: BoardView | None
+    contents: Contents | None = None
+    detector: str | None = None
+
+
+def find_in_image(task: ImageTask) -> Found:
+    """Read an image and its depth and find the board.
+
+    Raises
+    ------
+    ConfigError
+        A damaged image, one of a wrong size or kind, or none that this process can see.
+    """
+    recording, at = task.recording, (task.camera, task.frame)
+    path = recording.color_files[task.camera][task.frame]
+    if not path.exists():
+        raise ConfigError(
+            f"{path}: not seen on {socket.gethostname()}; every worker needs the recording under the same path. Put it on a "
+            "file system that they share"
+        )
+    depth_m = recording.depth_m(*at) if recording.has_depth(*at) else None
+    view = detect_view(*at, recording.color(*at), depth_m, task.board, task.params)
+    return Found(view, contents(recording, *at) if task.hashed else None, detector())
+
+
 def detect(
-    recording: Recording, params: DetectParams, jobs: int | None = None, progress: Progress = silent
+    recording: Recording, params: DetectParams, workers: Workers | None = None, progress: Progress = silent
 ) -> Detections:
-    """Find the board in every image of a recording; the result does not depend on `jobs`.
+    """Find the board in every image of a recording; the result does not depend on `workers`.
 
     Raises
     ------
@@ -66,22 +112,29 @@ def detect(
     CalibrationError
         The board is in no image at all.
     """
+    workers = workers or Workers()
     board = board_of(recording)
     images = [(camera, frame) for camera, files in recording.color_files.items() for frame in files]
+    sent = recording if workers.dask is None else replace(recording, path=recording.path.absolute())
+    with closing(DetectionCache(recording, board, params, workers)) as cache:
 
-    def work(image: tuple[str, str]) -> BoardView | None:
-        camera, frame = image
-        depth_m = recording.depth_m(camera, frame) if recording.has_depth(camera, frame) else None
-        return detect_view(camera, frame, recording.color(camera, frame), depth_m, board, params)
+        def work() -> Iterator[ImageTask | Ready[Found]]:
+            for camera, frame in images:
+                known = cache.look(camera, frame)
+                if known is not None:
+                    yield Ready(Found(known[0]))
+                else:
+                    yield ImageTask(sent.only(camera, frame), camera, frame, board, params, workers.cache is not None)
 
-    threads_before = cv2.getNumThreads()
-    cv2.setNumThreads(1)  # one image a thread is faster than several threads an image
-    pool = ThreadPoolExecutor(jobs or os.cpu_count())
-    try:
-        found = list(progress(pool.map(work, images), len(images), "Finding the board"))
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-        cv2.setNumThreads(threads_before)
+        found: list[BoardView | None] = []
+        for image, result in zip(
+            images,
+            progress(workers.in_order(find_in_image, work()), len(images), "Finding the board"),
+            strict=True,
+        ):
+            check_detector(result.detector, workers)
+            cache.keep(*image, result.view, result.contents)
+            found.append(result.view)
     views = tuple(view for view in found if view is not None)
     if not views:
         raise CalibrationError(
@@ -91,8 +144,17 @@ def detect(
     return Detections(views, tuple(image for image, view in zip(images, found, strict=True) if view is None))
 
 
+def check_detector(seen: str | None, workers: Workers) -> None:
+    """The same result wherever it was made: raise ConfigError where a worker has other versions than this process."""
+    if seen not in (None, detector()):
+        raise ConfigError(
+            f"--dask {workers.dask}: a worker has other versions of rgbd-calib or of its libraries ({seen}) than this "
+            f"computer ({detector()}); the same are needed for the same result. Install the same on both"
+        )
+
+
 def detections_from(
-    recording: Recording, corners: Path | None, params: DetectParams, jobs: int | None, progress: Progress
+    recording: Recording, corners: Path | None, params: DetectParams, workers: Workers | None, progress: Progress
 ) -> Detections:
     """Detections read from corners.csv, or made now.
 
@@ -102,7 +164,7 @@ def detections_from(
         corners.csv has a camera or corner that the recording has not.
     """
     if corners is None:
-        return detect(recording, params, jobs, progress)
+        return detect(recording, params, workers, progress)
     views, board = read_corners(corners), board_of(recording)
     if not views:
         raise ConfigError(f"{corners}: no corners in it. Detect again with `rgbd-calib detect {recording.path}`")

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,13 +19,15 @@ from rgbd_calib.io.correspondences import read_corners
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.rig import read_intrinsics
 from rgbd_calib.pipeline.config import Config
-from rgbd_calib.pipeline.detection import Progress, board_of, silent
+from rgbd_calib.pipeline.detection import Progress, board_of, check_detector, silent
+from rgbd_calib.pipeline.detection_cache import Contents, DetectionCache, contents, detector
 from rgbd_calib.pipeline.verify import fit_views
+from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.stages import doctor
 from rgbd_calib.stages.association import AssociationResult, associate
 from rgbd_calib.stages.board_pose import pose_view
 from rgbd_calib.stages.coverage import CoverageParams, measure_coverage, nominal_intrinsics
-from rgbd_calib.stages.detect import detect_view
+from rgbd_calib.stages.detect import DetectParams, detect_view
 from rgbd_calib.stages.displacement import CameraPoses, joined_to, locate_cameras
 from rgbd_calib.stages.doctor import DoctorParams, Finding, ImageMeasures, ViewMeasures
 from rgbd_calib.stages.intrinsics import calibrate_intrinsics
@@ -56,6 +57,23 @@ class Examination:
 
 
 @dataclass(frozen=True)
+class _Task:
+    """An image to look at."""
+
+    recording: Recording
+    """Of this image alone."""
+    board: Board | None
+    known: tuple[BoardView | None] | None
+    """(the view, or None where the board is not in it,), where it was found before."""
+    params: DetectParams
+    key: Key
+    hashed: bool
+
+    def __str__(self) -> str:
+        return f"{self.recording.path}: camera {self.key[0]}, frame {self.key[1]}"
+
+
+@dataclass(frozen=True)
 class _Look:
     """One image."""
 
@@ -64,6 +82,8 @@ class _Look:
     image: ImageMeasures | None
     view: BoardView | None
     measures: ViewMeasures | None
+    contents: Contents | None = None
+    detector: str | None = None
 
 
 def examine(
@@ -72,7 +92,7 @@ def examine(
     *,
     intrinsics: Path | None = None,
     corners: Path | None = None,
-    jobs: int | None = None,
+    workers: Workers | None = None,
     progress: Progress = silent,
     params: DoctorParams | None = None,
 ) -> Examination:
@@ -92,7 +112,7 @@ def examine(
     walls = recording.board is None and any(recording.distances_m(c) for c in recording.cameras)
     board = None if walls else board_of(recording)
     known = None if corners is None else {(v.camera, v.frame): v for v in read_corners(corners)}
-    looks = _look_at_all(recording, board, known, config, jobs, progress)
+    looks = _look_at_all(recording, board, known, config, workers or Workers(), progress)
     color = {c: tuple(files) for c, files in recording.color_files.items()}
     depth = {c: tuple(files) for c, files in recording.depth_files.items()}
     stamps = {c: rows for c in recording.cameras if (rows := recording.timestamps_us(c))}
@@ -115,28 +135,32 @@ def _look_at_all(
     board: Board | None,
     known: Mapping[Key, BoardView] | None,
     config: Config,
-    jobs: int | None,
+    workers: Workers,
     progress: Progress,
 ) -> list[_Look]:
     keys = [(camera, frame) for camera, files in recording.color_files.items() for frame in files]
+    sent = recording if workers.dask is None else replace(recording, path=recording.path.absolute())
+    cached = board is not None and known is None and workers.cache is not None
+    with closing(
+        DetectionCache(recording, board, config.detect, workers if cached else replace(workers, cache=None))
+    ) as cache:
 
-    def work(key: Key) -> _Look:
-        return _look(recording, board, known, config, key)
+        def work() -> Iterator[_Task]:
+            for key in keys:
+                view = cache.look(*key) if known is None else (known.get(key),)
+                yield _Task(sent.only(*key), board, view, config.detect, key, cached and view is None)
 
-    threads_before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    pool = ThreadPoolExecutor(jobs or os.cpu_count())
-    try:
-        return list(progress(pool.map(work, keys), len(keys), "Looking at the images"))
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-        cv2.setNumThreads(threads_before)
+        looks: list[_Look] = []
+        for look in progress(workers.in_order(_look, work()), len(keys), "Looking at the images"):
+            check_detector(look.detector, workers)
+            cache.keep(look.key[0], look.key[1], look.view, look.contents)
+            looks.append(look)
+    return looks
 
 
-def _look(
-    recording: Recording, board: Board | None, known: Mapping[Key, BoardView] | None, config: Config, key: Key
-) -> _Look:
-    problems, color, depth_m = [], None, None
+def _look(task: _Task) -> _Look:
+    recording, board, key, problems = task.recording, task.board, task.key, []
+    color, depth_m = None, None
     try:
         color = recording.color(*key)
     except ConfigError as error:
@@ -151,9 +175,10 @@ def _look(
     image = doctor.measure_image(gray)
     if board is None:
         return _Look(key, tuple(problems), image, None, None)
-    view = known.get(key) if known is not None else detect_view(*key, color, depth_m, board, config.detect)
+    view = detect_view(*key, color, depth_m, board, task.params) if task.known is None else task.known[0]
     measures = None if view is None else doctor.measure_view(gray, depth_m, view, board)
-    return _Look(key, tuple(problems), image, view, measures)
+    hashes = contents(recording, *key) if task.hashed and not problems else None
+    return _Look(key, tuple(problems), image, view, measures, hashes, detector())
 
 
 def _damaged(looks: Iterable[_Look]) -> list[Finding]:

@@ -22,6 +22,7 @@ from rgbd_calib.io.rig import read_boards, read_rig
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Progress, board_of, detections_from
 from rgbd_calib.pipeline.rig_inputs import common_cameras
+from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.stages import uncertainty
 from rgbd_calib.stages.association import label_views
 from rgbd_calib.stages.board_pose import pose_view
@@ -163,12 +164,12 @@ def evaluate_truth(rig: Path, truth: Path) -> dict[str, Any]:
 
 
 def evaluate_recording(
-    rig_path: Path, path: Path, corners: Path | None, config: Config, jobs: int | None, progress: Progress
+    rig_path: Path, path: Path, corners: Path | None, config: Config, workers: Workers | None, progress: Progress
 ) -> dict[str, Any]:
     """Summary of a rig file against a recording of the board."""
     rig, recording = read_rig(rig_path), open_recording(path)
     board, shared = board_of(recording), common_cameras(recording, rig)
-    found = detections_from(recording, corners, config.detect, jobs, progress)
+    found = detections_from(recording, corners, config.detect, workers, progress)
     return against_views(rig, place_views(rig, found.views, board, shared, config), board).summary()
 
 

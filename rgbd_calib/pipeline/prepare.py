@@ -16,6 +16,7 @@ from rgbd_calib.io.recording import CameraInfo, Recording, open_recording
 from rgbd_calib.io.rig import read_depth_bias, read_depth_bias_samples, read_intrinsics, read_intrinsics_sd
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
+from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.stages.board_pose import pose_view
 from rgbd_calib.stages.depth_bias import DepthBiasFit, fit_with_data
 from rgbd_calib.stages.intrinsics import IntrinsicsResult, calibrate_intrinsics
@@ -89,6 +90,7 @@ def resolve_intrinsics(
     recording: Recording,
     detections: Detections,
     config: Config,
+    workers: Workers | None = None,
     progress: Progress = silent,
     source_detections: Detections | None = None,
 ) -> IntrinsicsSource:
@@ -100,7 +102,7 @@ def resolve_intrinsics(
     check_sources(recording, source, None)
     if source is not None and source.is_dir():
         other = open_recording(source)
-        found = source_detections or detect(other, config.detect, progress=progress)
+        found = source_detections or detect(other, config.detect, workers, progress)
         results = intrinsics_of_views(other, found, config, cameras)
         given = {name: result.intrinsics for name, result in results.items()}
         return IntrinsicsSource(given, str(source), results, found.views, {})
@@ -129,7 +131,7 @@ def depth_bias_of_recording(
     intrinsics: Mapping[str, Intrinsics],
     config: Config,
     detections: Detections | None = None,
-    jobs: int | None = None,
+    workers: Workers | None = None,
     progress: Progress = silent,
 ) -> dict[str, DepthBiasFit]:
     """Depth bias of each camera that has depth: from distances.csv, else from the board's pose by pixels.
@@ -152,7 +154,7 @@ def depth_bias_of_recording(
                     f"{recording.path}: {name} has no distances.csv, so that the true depth must come from the board's pose, "
                     "and for this the camera's intrinsics are needed. Give --intrinsics, or write distances.csv"
                 )
-            detections = detections or detect(recording, config.detect, jobs, progress)
+            detections = detections or detect(recording, config.detect, workers, progress)
             (z_m, z_true_m), sigma_m = _board_pairs(detections.of(name), recording, intrinsics[name]), None
         out[name] = fit_with_data(z_m, z_true_m, config.depth_bias, camera=name, sigma_m=sigma_m)
     if not out:
@@ -161,7 +163,12 @@ def depth_bias_of_recording(
 
 
 def resolve_depth_bias(
-    source: Path | None, recording: Recording, intrinsics: Mapping[str, Intrinsics], config: Config, progress: Progress
+    source: Path | None,
+    recording: Recording,
+    intrinsics: Mapping[str, Intrinsics],
+    config: Config,
+    workers: Workers | None,
+    progress: Progress,
 ) -> tuple[dict[str, DepthBias], str, dict[str, Any]]:
     """Depth biases by camera, from a file or a bias recording, where they are from, and the data they were fitted to."""
     if source is None:
@@ -169,7 +176,7 @@ def resolve_depth_bias(
     check_sources(recording, None, source)
     cameras = [name for name in recording.cameras if recording.depth_files[name]]
     if source.is_dir():
-        fits = depth_bias_of_recording(open_recording(source), intrinsics, config, progress=progress)
+        fits = depth_bias_of_recording(open_recording(source), intrinsics, config, workers=workers, progress=progress)
         given = {name: fit.bias for name, fit in fits.items()}
         samples = {name: samples_of(fit) for name, fit in fits.items()}
     else:

@@ -25,6 +25,7 @@ from rgbd_calib.pipeline.evaluate import against_views, place_views
 from rgbd_calib.pipeline.prepare import IntrinsicsSource, resolve_depth_bias, resolve_intrinsics
 from rgbd_calib.pipeline.rig_inputs import common_cameras
 from rgbd_calib.pipeline.verify import verify_views
+from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.stages.association import associate, label_views
 from rgbd_calib.stages.board_pose import pose_view
 from rgbd_calib.stages.bundle import BundleResult, CameraPrior, bundle, camera_statistics, pose_covariance
@@ -56,6 +57,7 @@ def update_camera(
     *,
     intrinsics: Path | None = None,
     depth_bias: Path | None = None,
+    workers: Workers | None = None,
     progress: Progress = silent,
 ) -> Update:
     """Pose camera `name` against the rig's other cameras.
@@ -69,7 +71,7 @@ def update_camera(
     """
     board = board_of(recording)
     others = _others(rig, name, recording)
-    source, bias, own = _own(rig, name, recording, config, detections, intrinsics, depth_bias, progress)
+    source, bias, own = _own(rig, name, recording, config, detections, intrinsics, depth_bias, workers, progress)
     known = {c: rig.cameras[c] for c in others}
     lenses = {c: camera.intrinsics for c, camera in known.items()} | {name: source.intrinsics[name]}
     biases = {c: camera.depth_bias for c, camera in known.items() if camera.depth_bias is not None}
@@ -135,6 +137,7 @@ def _own(
     detections: Detections,
     intrinsics: Path | None,
     depth_bias: Path | None,
+    workers: Workers | None,
     progress: Progress,
 ) -> tuple[IntrinsicsSource, DepthBias | None, RigCamera | None]:
     """The camera's lens and depth bias, and its entry of the rig where these are kept."""
@@ -144,8 +147,8 @@ def _own(
         return IntrinsicsSource({name: own.intrinsics}, "the rig", {}, (), {}), own.depth_bias, own
     alone = replace(recording, cameras={name: recording.cameras[name]})
     found = Detections(detections.of(name), tuple(key for key in detections.missed if key[0] == name))
-    source = resolve_intrinsics(intrinsics, alone, found, config, progress)
-    biases = resolve_depth_bias(depth_bias, alone, source.intrinsics, config, progress)[0]
+    source = resolve_intrinsics(intrinsics, alone, found, config, workers, progress)
+    biases = resolve_depth_bias(depth_bias, alone, source.intrinsics, config, workers, progress)[0]
     if depth_bias is None and name in rig.cameras and rig.cameras[name].depth_bias is not None:
         return source, rig.cameras[name].depth_bias, None
     return source, biases.get(name), None

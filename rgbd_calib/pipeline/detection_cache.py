@@ -1,0 +1,148 @@
+"""Detections kept by content: the same image, board, settings and detector give the same view, whatever the file's name.
+
+The key holds all that the result depends on; the bytes of the images stand in it, not their names and times. A view
+read back is the one that was stored, bit for bit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import platform
+from dataclasses import asdict
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import PIL
+import scipy
+
+import rgbd_calib
+from rgbd_calib.io.cache import FileCache
+from rgbd_calib.io.recording import Recording
+from rgbd_calib.pipeline.workers import Workers
+from rgbd_calib.stages.detect import DetectParams
+from rgbd_calib.types import Board, BoardView
+
+Contents = tuple[str, str]
+"""SHA-256 of the colour file and of the depth file, empty where there is no depth."""
+_FIELDS = ("ids", "corners_px", "depth_m", "depth_pixels")
+_CHUNK = 2**20
+
+
+@lru_cache
+def detector() -> str:
+    """What finds boards here: the sources that take part, and the versions of the libraries below them."""
+    root = Path(rgbd_calib.__file__).parent
+    read_by = [root / "io" / name for name in ("recording.py", "images.py")]
+    sources = hashlib.sha256()
+    for path in [
+        *sorted(root.glob("stages/detect/*.py")),
+        *sorted(root.glob("geometry/*.py")),
+        root / "types.py",
+        *read_by,
+    ]:
+        sources.update(path.read_bytes() if path.exists() else b"")
+    versions = [rgbd_calib.__version__, *(m.__version__ for m in (cv2, np, scipy, PIL)), platform.machine()]
+    return " ".join([sources.hexdigest()[:16], *versions])
+
+
+def contents(recording: Recording, camera: str, frame: str) -> Contents | None:
+    """Hashes of the files of an image, or None where one cannot be read."""
+    depth = recording.depth_files[camera].get(frame)
+    try:
+        return _sha256(recording.color_files[camera][frame]), "" if depth is None else _sha256(depth)
+    except OSError:
+        return None
+
+
+def key_of(found: Contents, recording: Recording, camera: str, board: Board | None, params: DetectParams) -> str:
+    """The key of a view: SHA-256 over everything that it depends on."""
+    info = recording.cameras[camera]
+    parts: dict[str, Any] = {
+        "color": found[0],
+        "depth": found[1],
+        "size": [info.width, info.height],
+        "depth_scale": info.depth_scale,
+        "board": None if board is None else asdict(board),
+        "params": asdict(params),
+        "detector": detector(),
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+class DetectionCache:
+    """What is known of a recording's images, and what becomes known; with no folder, nothing."""
+
+    def __init__(self, recording: Recording, board: Board | None, params: DetectParams, workers: Workers) -> None:
+        self._recording, self._board, self._params, self._workers = recording, board, params, workers
+        self._files = None if workers.cache is None else FileCache(workers.cache, workers.say)
+        self._missing: dict[tuple[str, str], Contents] = {}
+        self.found = 0
+        """Images that were known."""
+
+    def look(self, camera: str, frame: str) -> tuple[BoardView | None] | None:
+        """(view, or None where the board is not in the image,), or None where the image is not known."""
+        now = None if self._files is None else contents(self._recording, camera, frame)
+        if self._files is None or now is None:
+            return None
+        data = self._files.get(key_of(now, self._recording, camera, self._board, self._params))
+        known = None if data is None else read_entry(data, camera, frame)
+        if known is None:
+            self._missing[camera, frame] = now
+        else:
+            self.found += 1
+        return known
+
+    def keep(self, camera: str, frame: str, view: BoardView | None, seen: Contents | None) -> None:
+        """Store a view that was asked for in vain, unless the files have changed in the meantime."""
+        asked = self._missing.pop((camera, frame), None)
+        if self._files is not None and asked is not None and asked == seen:
+            self._files.put(key_of(asked, self._recording, camera, self._board, self._params), entry(view))
+
+    def close(self) -> None:
+        """Say how much was known."""
+        if self._files is not None:
+            self._files.close()
+        if self.found:
+            images = sum(map(len, self._recording.color_files.values()))
+            self._workers.say(f"{self._recording.path}: {self.found} of {images} images from the cache")
+
+
+def entry(view: BoardView | None) -> bytes:
+    """A view as bytes: one table in numpy's own format, which holds every bit and no code; nothing for no view."""
+    if view is None:
+        return b""
+    columns = [getattr(view, name) for name in _FIELDS]
+    kinds = [(name, c.dtype, c.shape[1:]) for name, c in zip(_FIELDS, columns, strict=True)]
+    table = np.empty(len(view.ids), dtype=kinds)
+    for name, column in zip(_FIELDS, columns, strict=True):
+        table[name] = column
+    stream = io.BytesIO()
+    np.save(stream, table, allow_pickle=False)
+    return stream.getvalue()
+
+
+def read_entry(data: bytes, camera: str, frame: str) -> tuple[BoardView | None] | None:
+    """(what :func:`entry` was given,), or None where this is no entry."""
+    if not data:
+        return (None,)
+    try:
+        table = np.load(io.BytesIO(data), allow_pickle=False)
+        ids, corners, depth, pixels = (np.ascontiguousarray(table[name]) for name in _FIELDS)
+    except (ValueError, EOFError, LookupError, TypeError):
+        return None
+    if ids.ndim != 1 or corners.shape != (len(ids), 2) or not depth.shape == pixels.shape == ids.shape:
+        return None
+    return (BoardView(camera, frame, ids, corners, depth, pixels),)
+
+
+def _sha256(path: Path) -> str:
+    total = hashlib.sha256()
+    with path.open("rb") as stream:
+        while part := stream.read(_CHUNK):
+            total.update(part)
+    return total.hexdigest()
