@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.camera import Intrinsics
-from rgbd_calib.io.files import dump_yaml, load_yaml, whole_file, write_text
+from rgbd_calib.io.files import dump_yaml, load_yaml, write_text
+from rgbd_calib.io.images import read_image, write_image
 from rgbd_calib.io.schemas import BoardModel, DatasetModel, IntrinsicsModel, parse
+from rgbd_calib.io.tables import number, number_or_nan, read_table, short
+from rgbd_calib.io.tables import write_table as write_table
 from rgbd_calib.types import Board
 
+T = TypeVar("T")
 SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
@@ -74,14 +77,13 @@ class Recording:
             The file is damaged, or of another size than dataset.yaml says.
         """
         path = self.color_files[camera][frame]
-        image = _read_image(path)
+        image = read_image(path, self._size(camera), "dataset.yaml says")
         if image.dtype != np.uint8:
             raise ConfigError(
                 f"{path}: {image.dtype.itemsize * 8} bits a channel seen, 8 needed for colour. Convert it"
             )
         if image.ndim == 2:
             image = np.repeat(image[..., None], 3, axis=2)
-        self._check_size(path, camera, image, "dataset.yaml says")
         return np.ascontiguousarray(image[..., 2::-1])
 
     def has_depth(self, camera: str, frame: str) -> bool:
@@ -96,14 +98,13 @@ class Recording:
             The file is damaged, not 16-bit with one channel, or of another size than the colour image.
         """
         path = self.depth_files[camera][frame]
-        depth_raw = _read_image(path)
+        depth_raw = read_image(path, self._size(camera), "the colour image has")
         if depth_raw.dtype != np.uint16 or depth_raw.ndim != 2:
             channels = 1 if depth_raw.ndim == 2 else depth_raw.shape[2]
             raise ConfigError(
                 f"{path}: {depth_raw.dtype.itemsize * 8} bits and {channels} channel(s) seen, depth needs 16 bits and one. "
                 "Save the sensor's depth as a 16-bit greyscale PNG, not a picture of it"
             )
-        self._check_size(path, camera, depth_raw, "the colour image has")
         return np.where(depth_raw == 0, np.nan, depth_raw * self.cameras[camera].depth_scale)
 
     def distances_m(self, camera: str) -> dict[str, float]:
@@ -111,18 +112,25 @@ class Recording:
         path = self.path / camera / "distances.csv"
         if not path.exists():
             return {}
-        rows = read_table(path, ("frame", "distance_m"))
-        return {row["frame"]: number(path, line, "distance_m", row["distance_m"]) for line, row in rows}
+        out: dict[str, float] = {}
+        for line, row in read_table(path, ("frame", "distance_m")):
+            distance_m = number(path, line, "distance_m", row["distance_m"])
+            if distance_m <= 0:
+                raise ConfigError(
+                    f"{path}: line {line}: distance_m: {distance_m:g} seen, more than 0 needed. Correct it"
+                )
+            _add_once(out, path, line, row["frame"], distance_m)
+        return out
 
     def timestamps_us(self, camera: str) -> dict[str, tuple[float, float]]:
         """(colour, depth) time stamps by frame from timestamps.csv, microseconds; NaN where one is missing."""
         path = self.path / camera / "timestamps.csv"
         if not path.exists():
             return {}
-        out = {}
+        out: dict[str, tuple[float, float]] = {}
         for line, row in read_table(path, ("frame", "color_us", "depth_us")):
-            stamps = [number(path, line, key, row[key] or "nan") for key in ("color_us", "depth_us")]
-            out[row["frame"]] = (stamps[0], stamps[1])
+            color_us, depth_us = (number_or_nan(path, line, key, row[key]) for key in ("color_us", "depth_us"))
+            _add_once(out, path, line, row["frame"], (color_us, depth_us))
         return out
 
     def digest(self) -> str:
@@ -135,13 +143,8 @@ class Recording:
                     total.update(hashlib.sha256(path.read_bytes()).digest())
         return total.hexdigest()
 
-    def _check_size(self, path: Path, camera: str, image: np.ndarray, who: str) -> None:
-        info = self.cameras[camera]
-        if image.shape[:2] != (info.height, info.width):
-            raise ConfigError(
-                f"{path}: {image.shape[1]}x{image.shape[0]} px seen, {who} {info.width}x{info.height}. "
-                "Correct the size in dataset.yaml, or record depth registered to colour"
-            )
+    def _size(self, camera: str) -> tuple[int, int]:
+        return self.cameras[camera].width, self.cameras[camera].height
 
 
 def open_recording(path: Path) -> Recording:
@@ -206,76 +209,31 @@ def write_dataset(
 
 def save_color(recording: Path, camera: str, frame: str, image: np.ndarray) -> None:
     """Write a colour image (h, w, 3), uint8, B G R, as PNG."""
-    _save_png(recording / camera / "color" / f"{frame}.png", image)
+    write_image(recording / camera / "color" / f"{frame}.png", image)
 
 
 def save_depth(recording: Path, camera: str, frame: str, depth_raw: np.ndarray) -> None:
     """Write a depth image (h, w), uint16 in units of the camera's depth scale, 0 = none, as PNG."""
-    _save_png(recording / camera / "depth" / f"{frame}.png", depth_raw)
-
-
-def write_table(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
-    """Write a CSV file whole or not at all."""
-    with whole_file(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)
-
-
-def read_table(path: Path, columns: tuple[str, ...]) -> list[tuple[int, dict[str, str]]]:
-    """Rows of a CSV file with their line numbers; it must have these columns, others pass."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.DictReader(stream)
-            missing = [column for column in columns if column not in (reader.fieldnames or [])]
-            if missing:
-                seen = ", ".join(reader.fieldnames or []) or "nothing"
-                raise ConfigError(f"{path}: line 1: column '{missing[0]}' is missing; seen: {seen}. Add it")
-            rows = []
-            for row in reader:
-                if None in row or any(row[column] is None for column in columns):
-                    raise ConfigError(f"{path}: line {reader.line_num}: {len(reader.fieldnames or [])} fields needed")
-                rows.append((reader.line_num, row))
-            return rows
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: cannot be read as CSV ({error})") from error
-
-
-def number(path: Path, line: int, key: str, text: str) -> float:
-    """A number of a CSV file, or an error that names the line and the column."""
-    try:
-        return float(text)
-    except ValueError:
-        raise ConfigError(f"{path}: line {line}: {key}: {text!r} seen, a number needed") from None
+    write_image(recording / camera / "depth" / f"{frame}.png", depth_raw)
 
 
 def _images(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
+    """Files by stem, in order. A folder or a file may be a link out of the recording: whoever made it meant it."""
     if not folder.is_dir():
         return {}
-    files = sorted(p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith("."))
-    return {p.stem: p for p in files}
+    found: dict[str, Path] = {}
+    for path in sorted(p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".")):
+        if not path.stem.isprintable():
+            raise ConfigError(f"{folder}: file {path.name!r} seen, printable characters needed. Rename it")
+        if path.stem in found:
+            raise ConfigError(
+                f"{folder}: {found[path.stem].name} and {path.name} seen, one image a frame needed. Delete one, or move it"
+            )
+        found[path.stem] = path
+    return found
 
 
-def _read_image(path: Path) -> np.ndarray:
-    from PIL import Image, UnidentifiedImageError
-
-    try:
-        with Image.open(path) as image:
-            image.load()  # raises where the file ends early, which cv2.imread would not
-            if image.mode in ("P", "1", "CMYK", "LA", "PA", "YCbCr"):
-                array = np.array(image.convert("RGB"))
-            else:
-                array = np.array(image)
-    except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
-        raise ConfigError(f"{path}: damaged or no image ({error}). Delete it, or copy the recording again") from error
-    return array.astype(np.uint16) if array.dtype == np.int32 and array.max() < 65536 else array
-
-
-def _save_png(path: Path, image: np.ndarray) -> None:
-    import cv2
-
-    with whole_file(path) as temporary:
-        if not cv2.imwrite(str(temporary), image, [cv2.IMWRITE_PNG_COMPRESSION, 1]):
-            raise ConfigError(f"{path}: could not be written. Is the disk full?")
+def _add_once(out: dict[str, T], path: Path, line: int, frame: str, value: T) -> None:
+    if frame in out:
+        raise ConfigError(f"{path}: line {line}: frame {short(frame)} stands there twice; once is needed. Take one out")
+    out[frame] = value
