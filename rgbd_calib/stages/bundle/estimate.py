@@ -10,6 +10,7 @@ import numpy as np
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.bundle import gross, model, observability, solve, variance
+from rgbd_calib.stages.bundle.common_errors import common_errors
 from rgbd_calib.stages.bundle.model import Observations
 from rgbd_calib.stages.bundle.params import N_WEAK_BIAS, BundleParams, CameraPrior, Round
 from rgbd_calib.stages.bundle.result import BundleResult
@@ -97,13 +98,16 @@ def bundle(
     final = solve.minimize(restart, obs, board, weights, held, params.max_iterations, params.tolerance)
     cov = solve.covariance(solve.build(final.state, obs, board, weights, prior), prior.free)
     honest = solve.honest_covariance(cov, final.state, obs, board, weights, prior)
+    sizes_px = np.array([[own.intrinsics.width, own.intrinsics.height] for own in priors.values()], float)
+    common = common_errors(final.state, obs, board, weights, prior, cov, sizes_px)
     message = "weights and unknowns settled" if settled else f"the weights still moved after {params.max_rounds} rounds"
     return BundleResult(
         cameras,
         dict(priors),
         final.state,
         weights,
-        honest,
+        honest + common.covariance,
+        common,
         prior,
         depth_range,
         tuple(bool(np.any(all_obs.has_depth[all_obs.camera == i])) for i in range(len(cameras))),

@@ -10,6 +10,7 @@ import numpy as np
 
 from rgbd_calib.geometry.camera import N_INTRINSICS
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.stages.bundle.common_errors import CommonErrors
 from rgbd_calib.stages.bundle.model import Observations, State
 from rgbd_calib.stages.bundle.observability import Observability
 from rgbd_calib.stages.bundle.params import N_WEAK_BIAS, CameraPrior, Round
@@ -27,6 +28,7 @@ class BundleResult:
     weights: Weights
     covariance: FloatArray
     """(P, P) of all cameras' parameters and the bow; see :meth:`parameters`."""
+    common: CommonErrors
     prior: Prior
     bias_range_m: FloatArray
     """(C, 2)."""

@@ -173,7 +173,7 @@ def build(state: State, obs: Observations, board: Board, weights: Weights, prior
     U, W, V = prior.information.copy(), np.zeros((F, P, 6)), np.zeros((F, 6, 6))
     gradient = prior.information @ (values(state) - prior.mean)
     gradient_boards = np.zeros((F, 6))
-    for part in _blocks(state, obs, board, weights):
+    for part in blocks(state, obs, board, weights):
         n, _, _, G = part.J.shape
         J = part.J.reshape(n, -1, G)
         H = J.transpose(0, 2, 1) @ J
@@ -191,7 +191,7 @@ def build(state: State, obs: Observations, board: Board, weights: Weights, prior
 
 
 @dataclass(frozen=True)
-class _Block:
+class Block:
     """The weighted equations of some views; n views, N corners, G = 6 + 9 + B + 3 + 6 local columns."""
 
     views: slice
@@ -216,7 +216,7 @@ class _Block:
         return np.stack(out)
 
 
-def _blocks(state: State, obs: Observations, board: Board, weights: Weights) -> Iterator[_Block]:
+def blocks(state: State, obs: Observations, board: Board, weights: Weights) -> Iterator[Block]:
     """The equations of VIEWS_AT_ONCE views after the other, so that memory does not grow with the recording."""
     w_pixel, w_depth = scales(obs, weights)
     w = np.stack([w_pixel, w_pixel, w_depth], axis=-1)
@@ -230,7 +230,7 @@ def _blocks(state: State, obs: Observations, board: Board, weights: Weights) -> 
         columns = np.concatenate([own, np.broadcast_to(bow, (len(own), N_BOW))], axis=1)
         J = lin.J
         J *= w[views, :, :, None]
-        yield _Block(views, some.camera, some.frame, columns, J, lin.residual * w[views])
+        yield Block(views, some.camera, some.frame, columns, J, lin.residual * w[views])
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ def covariance(system: System, free: BoolArray) -> Covariance:
     W = system.W[:, free]
     V_inv = np.linalg.inv(system.V)
     WV = W @ V_inv
-    S = system.U[np.ix_(free, free)] - _product(WV, W)
+    S = system.U[np.ix_(free, free)] - product(WV, W)
     scale = 1 / np.sqrt(np.diag(S))
     try:
         L = np.linalg.cholesky(S * np.outer(scale, scale))
@@ -285,17 +285,17 @@ def honest_covariance(
     """
     scale = np.array([1.0, weights.ratio_pixel**2, 1.0, weights.ratio_depth**2])
     out: FloatArray = cov.cameras @ prior.information @ cov.cameras
-    for part in _blocks(state, obs, board, weights):
+    for part in blocks(state, obs, board, weights):
         B = np.tensordot(scale, part.information(weights), axes=1)
         M = np.concatenate([cov.cameras[part.columns], cov.cross[part.frame].transpose(0, 2, 1)], axis=1)  # (n, G, P)
-        out += _product(M.transpose(0, 2, 1) @ B, M.transpose(0, 2, 1))
+        out += product(M.transpose(0, 2, 1) @ B, M.transpose(0, 2, 1))
     return out
 
 
 def view_traces(cov: Covariance, state: State, obs: Observations, board: Board, weights: Weights) -> FloatArray:
     """tr(J Cov J') of each view's four parts, (4, V): how many of its residuals the fit absorbed."""
     traces = []
-    for part in _blocks(state, obs, board, weights):
+    for part in blocks(state, obs, board, weights):
         of_cameras = cov.cameras[part.columns[:, :, None], part.columns[:, None]]
         cross = cov.cross[part.frame[:, None], part.columns]
         C = np.block([[of_cameras, cross], [cross.transpose(0, 2, 1), cov.boards[part.frame]]])
@@ -303,7 +303,7 @@ def view_traces(cov: Covariance, state: State, obs: Observations, board: Board, 
     return np.concatenate(traces, axis=1)
 
 
-def _product(A: FloatArray, B: FloatArray) -> FloatArray:
+def product(A: FloatArray, B: FloatArray) -> FloatArray:
     """Sum over f of A[f] B[f]', of (F, p, m) and (F, q, m), as one matrix product."""
     p, q = A.shape[1], B.shape[1]
     out: FloatArray = A.transpose(1, 0, 2).reshape(p, -1) @ B.transpose(1, 0, 2).reshape(q, -1).T
@@ -331,7 +331,7 @@ def _step(system: System, free: BoolArray, damping: float) -> tuple[FloatArray, 
         V_inv = np.linalg.inv(V)
         WV = W @ V_inv
         n = len(g)
-        S = system.U[np.ix_(free, free)] - _product(WV, W)
+        S = system.U[np.ix_(free, free)] - product(WV, W)
         S[np.diag_indices(n)] += damping * np.diag(system.U)[free]
         scale = 1 / np.sqrt(np.maximum(np.diag(S), 1e-300))
         factor = cho_factor(S * np.outer(scale, scale))

@@ -1,0 +1,49 @@
+"""Errors that all views of a camera share: found where they are, counted in the covariance, and none seen where none are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import synthetic_views as sv
+from test_bundle import NOISE, draw, solved
+
+from rgbd_calib.geometry import se3
+from rgbd_calib.types import PlacedView
+
+
+def rippled(view: PlacedView, phase_rad: float) -> PlacedView:
+    """Depth with a ripple over the range, of 2 noise deviations RMS and a period of 0.5 m."""
+    z = view.view.depth_m
+    shared = 2 * np.sqrt(2) * NOISE.k_depth_per_m * z**2 * np.sin(2 * np.pi * z / 0.5 + phase_rad)
+    return replace(view, view=replace(view.view, depth_m=z + shared))
+
+
+@pytest.mark.parametrize("ripple", [False, True])
+def test_what_depths_share_is_found_and_counted(ripple: bool) -> None:
+    seeds, counted, uncounted, tau = 6, [], [], []
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        rig, board = sv.ring(2, biased=True), sv.TWO_SIDED
+        views = draw(rig, board, 15, rng)
+        phases = {name: rng.uniform(0, 2 * np.pi) for name in rig.cameras}
+        views = [rippled(view, phases[view.view.camera]) for view in views] if ripple else views
+        result = solved(rig, views, board, rng)
+        tau.append(result.common.depth)
+        at = result.parameters("C2").start + np.arange(6)
+        xi = se3.difference(rig.cameras["C2"].T_world_color, result.state.T_world_color[1])
+        for values, covariance in (
+            (counted, result.covariance),
+            (uncounted, result.covariance - result.common.covariance),
+        ):
+            values.append(xi @ np.linalg.solve(covariance[np.ix_(at, at)], xi) / 6)
+    # chi^2 with 6 degrees of freedom over the seeds, 4 standard errors
+    assert abs(np.mean(counted) - 1) < 4 * np.sqrt(2 / 6 / seeds)
+    if ripple:
+        # 2 of the noise's deviations, in units of an estimate that the ripple itself makes up to sqrt(5) times larger
+        assert all(0.7 < value < 2.0 for value in tau)
+        assert np.mean(counted) < 0.9 * np.mean(uncounted)
+    else:
+        # 48 cells of n = 34 corners: tau^2 has the standard error sqrt(2 / 48) / 34 = 0.006, 4 of them
+        assert max(tau) < np.sqrt(4 * 0.006)
