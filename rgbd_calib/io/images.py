@@ -52,6 +52,13 @@ def decode_image(data: bytes, where: str, size: tuple[int, int] | None = None, w
     return array.astype(np.uint16) if array.dtype == np.int32 and array.max() < 65536 else array
 
 
+def as_bgr(image: np.ndarray) -> np.ndarray:
+    """B G R (h, w, 3) of a decoded image that is grey, R G B or R G B A."""
+    if image.ndim == 2:
+        image = np.repeat(image[..., None], 3, axis=2)
+    return np.ascontiguousarray(image[..., 2::-1])
+
+
 def write_image(path: Path, image: np.ndarray) -> None:
     """Write an image (h, w) or (h, w, 3), B G R, as PNG; one of many, so without waiting for the disk."""
     with whole_file(path, durable=False) as temporary:

@@ -14,7 +14,7 @@ import numpy as np
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.files import dump_yaml, load_yaml, write_text
-from rgbd_calib.io.images import read_image, write_image
+from rgbd_calib.io.images import as_bgr, read_image, write_image
 from rgbd_calib.io.schemas import BoardModel, DatasetModel, IntrinsicsModel, parse
 from rgbd_calib.io.tables import number, number_or_nan, read_table, short
 from rgbd_calib.io.tables import write_table as write_table
@@ -82,9 +82,7 @@ class Recording:
             raise ConfigError(
                 f"{path}: {image.dtype.itemsize * 8} bits a channel seen, 8 needed for colour. Convert it"
             )
-        if image.ndim == 2:
-            image = np.repeat(image[..., None], 3, axis=2)
-        return np.ascontiguousarray(image[..., 2::-1])
+        return as_bgr(image)
 
     def has_depth(self, camera: str, frame: str) -> bool:
         return frame in self.depth_files[camera]

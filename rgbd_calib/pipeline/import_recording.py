@@ -12,6 +12,8 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.files import whole_folder
 from rgbd_calib.io.foreign.source import Kind, Picture, Plan, Source, Stamps, plan_frames
 from rgbd_calib.io.growing_recording import CameraImages, GrowingRecording
+from rgbd_calib.io.schemas import check_name
+from rgbd_calib.io.tables import short
 from rgbd_calib.types import Board
 
 
@@ -55,13 +57,14 @@ def import_recording(
         intrinsics.update(source.intrinsics)
     groups = [list(range(len(sources)))] if synchronous else [[i] for i in range(len(sources))]
     result = ImportResult(0, {}, {}, {})
+    sizes = {camera: (lens.width, lens.height) for camera, lens in intrinsics.items()}
     with whole_folder(out, overwrite) as folder:
         recording = GrowingRecording(folder, board, depth_scale=sources[0].depth_scale)
         recording.describe(intrinsics)
         for group in groups:
             merged = {camera: s for i in group for camera, s in stamps[i].items()}
             plan = plan_frames(merged)
-            _write([sources[i] for i in group], merged, plan, recording, result)
+            _write([sources[i] for i in group], merged, plan, recording, result, sizes)
             result.left_out.update({c: n for c, n in plan.lone_depth.items() if n})
         if recording.finished == 0:
             raise CalibrationError(f"{', '.join(s.name for s in sources)}: no colour frame in it; nothing was written")
@@ -74,6 +77,7 @@ def _write(
     plan: Plan,
     recording: GrowingRecording,
     result: ImportResult,
+    sizes: dict[str, tuple[int, int]],
 ) -> None:
     """Hold each picture until all of its frame are there, then write the frame."""
     frame_of = {(*stream, index): n for n, frame in enumerate(plan.frames) for stream, index in frame.items()}
@@ -83,7 +87,7 @@ def _write(
 
     def time_of(picture: Picture) -> int:
         times_us = stamps[picture.camera].get(picture.kind)
-        return times_us[picture.index] if times_us else 0
+        return times_us[picture.index] if times_us and picture.index < len(times_us) else 0
 
     in_time = heapq.merge(*(s.pictures() for s in sources), key=time_of)
     for picture in in_time:
@@ -93,7 +97,9 @@ def _write(
         there = waiting.setdefault(n, {})
         there[picture.camera, picture.kind] = picture
         if len(there) == len(plan.frames[n]):
-            recording.add(names[n], _images(waiting.pop(n), stamps, zero_us, result))
+            images = _images(waiting.pop(n), stamps, zero_us, result)
+            _check_sizes(images, sizes)
+            recording.add(names[n], images)
     if waiting:
         raise CalibrationError(
             f"{', '.join(s.name for s in sources)}: {len(waiting)} frames ended too early. Is it whole?"
@@ -123,6 +129,17 @@ def _images(
     return images
 
 
+def _check_sizes(images: Mapping[str, CameraImages], sizes: dict[str, tuple[int, int]]) -> None:
+    """Raise ConfigError for an image of another size than those before, or than the intrinsics; `sizes` are kept."""
+    for camera, shot in images.items():
+        height, width = shot.color.shape[:2]
+        if sizes.setdefault(camera, (width, height)) != (width, height):
+            raise ConfigError(
+                f"{camera}: an image of {width}x{height} px seen, the camera has {sizes[camera][0]}x{sizes[camera][1]}; one size "
+                "is needed. Choose the topic that fits camera_info, or split the recording"
+            )
+
+
 def _without_depth(stamps: Mapping[str, Stamps]) -> dict[str, Stamps]:
     return {camera: {"color": streams["color"]} for camera, streams in stamps.items()}
 
@@ -131,6 +148,12 @@ def _check_cameras(sources: Sequence[Source], stamps: Sequence[Mapping[str, Stam
     seen: dict[str, str] = {}
     for source, of_source in zip(sources, stamps, strict=True):
         for camera in of_source:
+            try:
+                check_name(camera)
+            except ValueError as error:
+                raise ConfigError(
+                    f"{source.name}: camera {short(camera)} seen; {error}. Name it: --topics, ID=FILE"
+                ) from None
             if camera in seen:
                 raise ConfigError(f"{source.name}: camera {camera} is in {seen[camera]} too. Name them: ID=FILE")
             seen[camera] = source.name

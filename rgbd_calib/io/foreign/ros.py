@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rgbd_calib.errors import ConfigError
+from rgbd_calib.errors import ConfigError, RgbdCalibError
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.foreign.ros_images import decode_image, is_depth
 from rgbd_calib.io.foreign.source import Kind, Picture, Stamps
+from rgbd_calib.io.schemas import IntrinsicsModel
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 _IMAGE, _COMPRESSED, _INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
@@ -53,7 +55,8 @@ class RosBag:
             found: dict[str, dict[Kind, list[int]]] = defaultdict(lambda: {"color": [], "depth": []})
             with self._reader() as reader:
                 for camera, kind, message in self._messages(reader):
-                    found[camera][kind].append(_time_us(message))
+                    with _faults(self.name):
+                        found[camera][kind].append(_time_us(message))
             self._stamps = dict(found)
         return self._stamps
 
@@ -62,23 +65,40 @@ class RosBag:
         with self._reader() as reader:
             for camera, kind, message in self._messages(reader):
                 where = f"{self.name}: {self._topics[camera][0 if kind == 'color' else 1]}"
-                yield Picture(camera, kind, counts[camera, kind], decode_image(message, kind, where))
+                with _faults(where):
+                    pixels = decode_image(message, kind, where)
+                yield Picture(camera, kind, counts[camera, kind], pixels)
                 counts[camera, kind] += 1
 
-    def _reader(self) -> Any:
-        from rosbags.highlevel import AnyReader, AnyReaderError
+    @contextmanager
+    def _reader(self) -> Iterator[Any]:
+        from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
 
+        with _faults(self.name):
+            reader = AnyReader([self._path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            reader.open()
         try:
-            return _Opened(AnyReader([self._path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)), self.name)
-        except (AnyReaderError, OSError) as error:
-            raise ConfigError(f"{self.name}: cannot be read as a ROS bag ({error}). Is it complete?") from error
+            yield reader
+        finally:
+            reader.close()
 
     def _messages(self, reader: Any) -> Iterator[tuple[str, Kind, Any]]:
         wanted = [c for c in reader.connections if c.topic in self._streams]
-        for connection, _, data in reader.messages(connections=wanted):
-            camera, kind = self._streams[connection.topic]
-            yield camera, kind, reader.deserialize(data, connection.msgtype)
+        for topic, message in self._read(reader, wanted):
+            camera, kind = self._streams[topic]
+            yield camera, kind, message
+
+    def _read(self, reader: Any, connections: list[Any]) -> Iterator[tuple[str, Any]]:
+        """(topic, message) of some of the connections; of none where there are none."""
+        raw = reader.messages(connections=connections) if connections else iter(())
+        while True:
+            with _faults(self.name):
+                connection, _, data = next(raw, (None, 0, b""))
+                if connection is None:
+                    return
+                message = reader.deserialize(data, connection.msgtype)
+            yield connection.topic, message
 
     def _listed(self) -> Iterator[tuple[str, Kind, str]]:
         for camera, (color, depth) in self._topics.items():
@@ -99,32 +119,25 @@ class RosBag:
         for camera, (color, _) in self._topics.items():
             topic = color.removesuffix("/compressed").rpartition("/")[0] + "/camera_info"
             connections = [c for c in reader.connections if c.topic == topic and c.msgtype == _INFO]
-            for connection, _, data in reader.messages(connections=connections) if connections else ():
-                found = _intrinsics(reader.deserialize(data, connection.msgtype))
+            for _, message in self._read(reader, connections):
+                with _faults(f"{self.name}: {topic}"):
+                    found = _intrinsics(message)
                 if found is not None:
                     infos[camera] = found
                 break
         return infos
 
 
-class _Opened:
-    """A reader whose errors become ours."""
-
-    def __init__(self, reader: Any, name: str) -> None:
-        self._reader = reader
-        self._name = name
-
-    def __enter__(self) -> Any:
-        from rosbags.highlevel import AnyReaderError
-
-        try:
-            self._reader.open()
-        except (AnyReaderError, OSError, ValueError, KeyError) as error:
-            raise ConfigError(f"{self._name}: cannot be read as a ROS bag ({error}). Is it complete?") from error
-        return self._reader
-
-    def __exit__(self, *_: object) -> None:
-        self._reader.close()
+@contextmanager
+def _faults(where: str) -> Iterator[None]:
+    """What `rosbags` raises on damaged files (struct.error, KeyError, AssertionError, ...) becomes an error for people."""
+    try:
+        yield
+    except RgbdCalibError:
+        raise
+    except Exception as error:
+        why = " ".join(str(error).split())[:200] or type(error).__name__
+        raise ConfigError(f"{where}: cannot be read as a ROS bag ({why}). Is it complete? Copy it again") from error
 
 
 def parse_topics(texts: tuple[str, ...]) -> dict[str, tuple[str, str | None]]:
@@ -195,8 +208,11 @@ def _time_us(message: Any) -> int:
 def _intrinsics(info: Any) -> Intrinsics | None:
     K = np.asarray(info.K if hasattr(info, "K") else info.k, float).reshape(3, 3)
     D = np.asarray(info.D if hasattr(info, "D") else info.d, float).ravel()
-    if K[0, 0] <= 0 or info.distortion_model not in ("plumb_bob", "") or len(D) > 5:
+    if not K[0, 0] > 0 or info.distortion_model not in ("plumb_bob", "") or len(D) > 5:
         return None
     k1, k2, p1, p2, k3 = (float(v) for v in np.pad(D, (0, 5 - len(D))))
     fx, fy, cx, cy = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
-    return Intrinsics(int(info.width), int(info.height), fx, fy, cx, cy, (k1, k2, p1, p2, k3))
+    model = IntrinsicsModel(
+        width=int(info.width), height=int(info.height), fx=fx, fy=fy, cx=cx, cy=cy, distortion=[k1, k2, p1, p2, k3]
+    )
+    return model.value()

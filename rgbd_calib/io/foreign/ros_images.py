@@ -8,7 +8,10 @@ import cv2
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
+from rgbd_calib.io import images
 from rgbd_calib.io.foreign.source import Kind
+from rgbd_calib.io.schemas import MAX_SIDE
+from rgbd_calib.io.tables import short
 
 _COMPRESSED_DEPTH_HEADER = 12  # bytes before the PNG, written by compressed_depth_image_transport
 _CHANNELS = {
@@ -52,22 +55,32 @@ def decode_image(message: Any, kind: Kind, where: str) -> np.ndarray:
     if hasattr(message, "format"):
         return _decode_compressed(message, kind, where)
     encoding = str(message.encoding)
-    data = np.asarray(message.data, np.uint8)
-    rows = data.reshape(message.height, message.step)
     if kind == "depth":
         sizes = {"16UC1": np.uint16, "mono16": np.uint16, "32FC1": np.float32}
         if encoding not in sizes:
             raise _unknown(where, encoding, "16UC1 or 32FC1")
         dtype = np.dtype(sizes[encoding]).newbyteorder(">" if message.is_bigendian else "<")
-        pixels = np.ascontiguousarray(rows[:, : message.width * dtype.itemsize]).view(dtype)
+        pixels = _pixels(message, dtype.itemsize, where).view(dtype)[..., 0]
         return _millimetres(pixels) if encoding == "32FC1" else pixels.astype(np.uint16)
     channels = _CHANNELS.get(encoding, 1 if encoding in _TO_BGR else 0)
     if not channels:
         raise _unknown(where, encoding, "an 8-bit colour encoding")
-    pixels = np.ascontiguousarray(rows[:, : message.width * channels]).reshape(message.height, message.width, channels)
+    pixels = _pixels(message, channels, where)
     if encoding in ("bgr8", "8UC3"):
         return pixels
     return cv2.cvtColor(pixels[..., 0] if channels == 1 else pixels, _TO_BGR[encoding])
+
+
+def _pixels(message: Any, size: int, where: str) -> np.ndarray:
+    """Bytes (height, width, size) of the pixels, without what pads the rows."""
+    data = np.asarray(message.data, np.uint8).ravel()
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    if not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE and width * size <= step and height * step == data.size):
+        raise ConfigError(
+            f"{where}: {width}x{height} px of {size} bytes, rows of {step} bytes, {data.size} bytes seen; {height} rows of "
+            f"at least {width * size} bytes needed, {MAX_SIDE} px a side at most. Is the bag complete? Record it again"
+        )
+    return np.ascontiguousarray(data.reshape(height, step)[:, : width * size]).reshape(height, width, size)
 
 
 def _decode_compressed(message: Any, kind: Kind, where: str) -> np.ndarray:
@@ -77,10 +90,10 @@ def _decode_compressed(message: Any, kind: Kind, where: str) -> np.ndarray:
             raise _unknown(where, str(message.format), "16UC1 in PNG")
         if "compressedDepth" in message.format:
             data = data[_COMPRESSED_DEPTH_HEADER:]
-    image = cv2.imdecode(data, cv2.IMREAD_COLOR if kind == "color" else cv2.IMREAD_UNCHANGED)
-    if image is None or (kind == "depth" and image.dtype != np.uint16):
-        raise _unknown(where, str(message.format), "JPEG or PNG, 16 bits for depth")
-    return image
+    image = images.decode_image(data.tobytes(), where)
+    if image.dtype != (np.uint8 if kind == "color" else np.uint16) or (kind == "depth" and image.ndim != 2):
+        raise _unknown(where, f"{short(str(message.format))} of {image.dtype}", "JPEG or PNG, 16 bits for depth")
+    return images.as_bgr(image) if kind == "color" else image
 
 
 def _millimetres(depth_m: np.ndarray) -> np.ndarray:
@@ -91,5 +104,5 @@ def _millimetres(depth_m: np.ndarray) -> np.ndarray:
 
 def _unknown(where: str, seen: str, needed: str) -> ConfigError:
     return ConfigError(
-        f"{where}: encoding {seen} seen, {needed} needed. Convert the topic, or choose another with --topics"
+        f"{where}: encoding {seen[:80]!r} seen, {needed} needed. Convert the topic, or choose another with --topics"
     )

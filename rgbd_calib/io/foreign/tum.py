@@ -7,16 +7,21 @@ https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 
-import cv2
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.io.files import read_bytes
 from rgbd_calib.io.foreign.source import Kind, Picture, Stamps
+from rgbd_calib.io.images import as_bgr, read_image
+from rgbd_calib.io.tables import short
 
 DEPTH_SCALE = 1 / 5000
+MAX_LIST_BYTES = 64 << 20
+MAX_SECONDS = 1e10
+"""Since 1970, the year 2286."""
 
 
 def is_tum(path: Path) -> bool:
@@ -50,25 +55,35 @@ class TumFolder:
 def _read_list(path: Path) -> list[tuple[int, str]]:
     entries = []
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read as text ({error})") from error
+        lines = read_bytes(path, MAX_LIST_BYTES).decode("utf-8").splitlines()
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: cannot be read as text ({error}). Copy the recording again") from error
     for number, line in enumerate(lines, 1):
         if not line.strip() or line.startswith("#"):
             continue
         words = line.split()
         try:
-            entries.append((round(float(words[0]) * 1e6), words[1]))
+            seconds, file = float(words[0]), PurePosixPath(words[1])
+            if not 0 <= seconds < MAX_SECONDS:
+                raise ValueError
         except (ValueError, IndexError):
-            raise ConfigError(f"{path}: line {number}: {line!r} seen, `seconds file` needed") from None
+            raise ConfigError(f"{path}: line {number}: {short(line)} seen, `seconds file` needed. Correct it") from None
+        if file.is_absolute() or ".." in file.parts or PureWindowsPath(file).drive or not words[1].isprintable():
+            raise ConfigError(
+                f"{path}: line {number}: {short(words[1])} seen; only files inside {path.parent} are read. Copy it there"
+            )
+        entries.append((round(seconds * 1e6), words[1]))
     return entries
 
 
 def _read_image(path: Path, kind: Kind) -> np.ndarray:
-    flag = cv2.IMREAD_COLOR if kind == "color" else cv2.IMREAD_UNCHANGED
-    image = cv2.imread(str(path), flag) if path.is_file() else None
-    if image is None:
-        raise ConfigError(f"{path}: no such image, or damaged; {kind}.txt lists it. Copy the recording again")
-    if kind == "depth" and (image.dtype != np.uint16 or image.ndim != 2):
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such image; {kind}.txt lists it. Copy the recording again")
+    image = read_image(path)
+    if kind == "color":
+        if image.dtype != np.uint8:
+            raise ConfigError(f"{path}: {image.dtype} seen, 8 bits a channel needed for colour. Convert it")
+        return as_bgr(image)
+    if image.dtype != np.uint16 or image.ndim != 2:
         raise ConfigError(f"{path}: {image.dtype} with {image.ndim} dimensions seen, 16 bits and one channel needed")
     return image
