@@ -129,8 +129,7 @@ def command(
         refuse_existing(path, overwrite)
     from rgbd_calib.io.correspondences import write_correspondences
     from rgbd_calib.io.recording import open_recording
-    from rgbd_calib.io.residuals import write_residuals
-    from rgbd_calib.io.rig import write_rig
+    from rgbd_calib.io.residuals import write_result
     from rgbd_calib.pipeline.calibrate import calibrate, reference_of
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.detection import detections_from
@@ -169,8 +168,7 @@ def command(
     )
     if world is not None:
         result = in_world(result, world, opened, settings.seed)
-    write_residuals(left, result.residuals)
-    write_rig(output, result.rig, result.boards)
+    write_result(output, result.rig, result.boards, result.residuals)
     if correspondences:
         write_correspondences(correspondences, result.correspondences)
     for line in describe(result.rig.quality):

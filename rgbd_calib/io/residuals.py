@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from array import array
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.io.tables import number_or_nan, read_table, short, write_table
+from rgbd_calib.io.files import dump_yaml, read_bytes, whole_file
+from rgbd_calib.io.rig import rig_data
+from rgbd_calib.io.tables import MAX_BYTES, fill_table, number_or_nan, read_table, short
+from rgbd_calib.types import Rig
 
 COLUMNS = (
     "camera",
@@ -25,6 +30,8 @@ COLUMNS = (
     "residual_depth_m",
     "used",
 )
+HASH_KEY = "residuals_sha256"
+"""In a rig's quality: of the residuals that were written with it; null once the rig was updated without them."""
 _USED = {(True, True): "both", (True, False): "pixel", (False, True): "depth", (False, False): "none"}
 
 
@@ -65,8 +72,27 @@ def residuals_path(rig: Path) -> Path:
     return rig.with_name(f"{rig.stem}.residuals.csv")
 
 
+def write_result(path: Path, rig: Rig, boards: Mapping[str, FloatArray], residuals: Residuals) -> None:
+    """Write a rig and, beside it, its residuals, whose hash the rig's quality holds.
+
+    Both are complete before either is put in its place: a kill leaves the old pair or the new one, or, between the two
+    renames, a pair that :func:`read_residuals_of` refuses.
+    """
+    with whole_file(residuals_path(path)) as beside, whole_file(path) as main:
+        fill_residuals(beside, residuals)
+        digest = hashlib.sha256(beside.read_bytes()).hexdigest()
+        signed = replace(rig, quality=rig.quality | {HASH_KEY: digest})
+        main.write_text(dump_yaml(rig_data(signed, boards)), encoding="utf-8")
+
+
 def write_residuals(path: Path, r: Residuals) -> None:
     """Write one row for each observation; empty where there is none; `used` is both, pixel, depth or none."""
+    with whole_file(path) as temporary:
+        fill_residuals(temporary, r)
+
+
+def fill_residuals(path: Path, r: Residuals) -> None:
+    """As :func:`write_residuals`, in place."""
     rows = (
         (
             camera,
@@ -90,7 +116,28 @@ def write_residuals(path: Path, r: Residuals) -> None:
             strict=True,
         )
     )
-    write_table(path, COLUMNS, rows)
+    fill_table(path, COLUMNS, rows)
+
+
+def read_residuals_of(path: Path, rig: Rig) -> Residuals | None:
+    """The residuals beside the rig file `path`; None where there are none, or `rig` was updated after they were made.
+
+    Raises
+    ------
+    ConfigError
+        They belong to another rig, or cannot be read.
+    """
+    beside = residuals_path(path)
+    if not beside.exists() or rig.quality.get(HASH_KEY, "") is None:
+        return None
+    if HASH_KEY in rig.quality:
+        seen = hashlib.sha256(read_bytes(beside, MAX_BYTES)).hexdigest()
+        if seen != rig.quality[HASH_KEY]:
+            raise ConfigError(
+                f"{beside}: SHA-256 {seen[:12]}... seen, {path.name} was written with {short(rig.quality[HASH_KEY])}: the two are "
+                "of different calibrations, or one was changed. Calibrate again, or take the table away"
+            )
+    return read_residuals(beside)
 
 
 def read_residuals(path: Path) -> Residuals:

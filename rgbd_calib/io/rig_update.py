@@ -10,6 +10,7 @@ import yaml
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.files import dump_yaml, load_yaml, write_text
+from rgbd_calib.io.residuals import HASH_KEY
 from rgbd_calib.io.rig import camera_entry
 from rgbd_calib.types import RigCamera
 
@@ -45,6 +46,8 @@ def write_update(
     at = entries.get(name, (end, end))
     changes = [(at, new)]
     quality = {k: v for k, v in (data.get("quality") or {}).items() if k not in STALE}
+    if HASH_KEY in quality:
+        quality[HASH_KEY] = None
     for key, value, added in (
         ("quality", quality, report),
         ("provenance", data.get("provenance") or {}, provenance),

@@ -22,7 +22,13 @@ _LARGEST_OTHER = 1e18  # microseconds since 1970 are 1.8e15
 
 def write_table(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
     """Write a CSV file whole or not at all."""
-    with whole_file(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+    with whole_file(path) as temporary:
+        fill_table(temporary, header, rows)
+
+
+def fill_table(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
+    """Write a CSV file in place: for a temporary of :func:`rgbd_calib.io.files.whole_file`."""
+    with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(header)
         writer.writerows(rows)

@@ -14,7 +14,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import write_text
 from rgbd_calib.io.recording import Recording, open_recording
-from rgbd_calib.io.residuals import Residuals, read_residuals, residuals_path
+from rgbd_calib.io.residuals import Residuals, read_residuals_of, residuals_path
 from rgbd_calib.io.rig import read_boards, read_depth_bias_samples, read_rig
 from rgbd_calib.pipeline import fuse
 from rgbd_calib.pipeline.rig_inputs import common_cameras
@@ -43,10 +43,10 @@ def report_of_file(path: Path, recording: Path | None, depth_bias: Path | None, 
     rig, missing = read_rig(path), {}
     if depth_bias is not None:
         rig.quality["depth_bias_samples"] = read_depth_bias_samples(depth_bias)
-    left, beside = None, residuals_path(path)
-    if beside.exists():
-        left = read_residuals(beside)
-    else:
+    left, beside = read_residuals_of(path, rig), residuals_path(path)
+    if left is None and beside.exists():
+        missing["residuals"] = f"Coverage and residuals are not shown: {path.name} was updated after {beside.name} was made."
+    elif left is None:
         missing["residuals"] = (
             f"Coverage and residuals are not shown: {beside.name} is not beside {path.name}. `rgbd-calib calibrate` writes "
             "it with the rig; keep the two together, or calibrate again."
