@@ -26,6 +26,8 @@ from rgbd_calib.errors import CalibrationError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+FEW = 12
+"""So many pieces of work are done in this process, while the others start: for less they need not."""
 AHEAD = 4
 """Pieces of work out at a time, for each worker: none waits while the results before its own are awaited."""
 DEATHS = 2
@@ -61,13 +63,7 @@ class Workers:
         ConfigError
             The cluster cannot be reached.
         """
-        if self.dask is not None:
-            from rgbd_calib.pipeline.dask_workers import Cluster
-
-            pool: Pool = Cluster(self.dask, self.say)
-        else:
-            jobs = self.jobs or _cores()
-            pool = _Here() if jobs == 1 else _Processes(jobs, self.say)
+        pool = self._pool()
         window: deque[tuple[Any, Any]] = deque()
         try:
             for item in work:
@@ -78,6 +74,14 @@ class Workers:
                 yield _first(pool, function, window)
         finally:
             pool.close()
+
+    def _pool(self) -> Pool:
+        if self.dask is not None:
+            from rgbd_calib.pipeline.dask_workers import Cluster
+
+            return Cluster(self.dask, self.say)
+        jobs = self.jobs or _cores()
+        return _Here() if jobs == 1 else _Processes(jobs, self.say)
 
 
 @dataclass(frozen=True)
@@ -121,16 +125,24 @@ class _Here:
         pass
 
 
+_HERE: Future[Any] = Future()
+"""Stands for work that this process does when its result is due."""
+
+
 class _Processes:
     """Processes of this computer; as safe in a program with threads as on systems that cannot fork."""
 
     def __init__(self, jobs: int, say: Callable[[str], object]) -> None:
-        self.ahead = AHEAD * jobs
+        self.ahead = AHEAD * jobs + FEW
         self._say, self._jobs = say, jobs
         self._executor: ProcessPoolExecutor | None = None
+        self._submitted = 0
 
     def submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any] | None:
         """The future, or None where a worker has just died: `result` will see to it."""
+        self._submitted += 1
+        if self._submitted <= FEW:
+            return _HERE
         if self._executor is None:
             self._executor = ProcessPoolExecutor(self._jobs, _context(function.__module__), _begin)
         try:
@@ -141,6 +153,9 @@ class _Processes:
     def result(
         self, function: Callable[[Any], Any], item: Any, future: Future[Any] | None, later: deque[tuple[Any, Any]]
     ) -> Any:
+        if future is _HERE:
+            with one_thread():
+                return function(item)
         deaths = 0
         while True:
             try:
@@ -173,6 +188,8 @@ class _Processes:
 
 
 def _lost(future: Future[Any] | None) -> bool:
+    if future is _HERE:
+        return False
     return future is None or future.cancelled() or not future.done() or isinstance(future.exception(), BrokenExecutor)
 
 
