@@ -17,11 +17,12 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import plain
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.residuals import Residuals
-from rgbd_calib.pipeline import details
+from rgbd_calib.pipeline import details, self_check
 from rgbd_calib.pipeline.config import Config, as_plain
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.pipeline.evaluate import Evaluation, against_views
 from rgbd_calib.pipeline.prepare import IntrinsicsSource, check_sources, resolve_depth_bias, resolve_intrinsics
+from rgbd_calib.pipeline.quality import bundle_quality, common_quality, finite, refinement_quality, steps_of
 from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.stages.association import AssociationResult, associate
 from rgbd_calib.stages.board_pose import pose_view
@@ -34,7 +35,7 @@ from rgbd_calib.stages.bundle import (
     pose_covariance,
 )
 from rgbd_calib.stages.correspondence import correspond
-from rgbd_calib.stages.initialization import InitializationResult, initialize
+from rgbd_calib.stages.initialization import initialize
 from rgbd_calib.stages.plane_filter import PlaneFilterResult, filter_planes
 from rgbd_calib.stages.refinement import RefinementParams, RefinementResult, refine
 from rgbd_calib.types import Board, BoardView, Correspondences, DepthBias, PlacedView, Rig, RigCamera
@@ -105,35 +106,47 @@ def calibrate(
     data = correspond(views.association.views, board, lenses, biases, cameras)
     residuals: Residuals | None = None
     joint: details.Joint | None = None
+    solution: BundleResult | RefinementResult | None = None
     if config.method == "bundle":
-        solved = _bundle(views, board, recording, config, reference)
+        solution = solved = _bundle(views, board, recording, config, reference)
         boards, rig = board_poses(solved), _rig_of_bundle(solved, reference)
         residuals, joint = details.residuals_of_bundle(solved, board), details.joint_of_bundle(solved)
-        quality = _bundle_quality(solved)
+        quality = bundle_quality(solved)
     else:
         start = initialize(data, lenses, reference, config.initialization)
         boards = {}
         if config.method == "init":
             rig = _rig_of_poses(start.T_world_color, {}, views, reference)
-            quality = {"initialization": _steps(start)}
+            quality = {"initialization": steps_of(start)}
         else:
             params = _refinement(config)
-            refined = refine(data, lenses, start.T_world_color, reference, params)
+            solution = refined = refine(data, lenses, start.T_world_color, reference, params)
             rig = _rig_of_refinement(refined, views, reference)
-            quality = {"initialization": _steps(start), **refinement_quality(refined)}
+            quality = {"initialization": steps_of(start), **refinement_quality(refined)}
             residuals = details.residuals_of_refinement(refined, data, views.association.views, board)
             joint = details.joint_of_refinement(refined)
     placed = pose_by_rig(rig, views.association.views, board, config)
     boards = boards or {p.view.frame: rig.cameras[p.view.camera].T_world_color @ p.T_color_board for p in placed}
     evaluation = against_views(rig, placed, board) if _pairs_with_depth(placed) else None
     residuals = residuals or details.residuals_of_rig(rig, placed, boards, board)
-    quality |= _common_quality(recording, views, evaluation)
+    quality |= common_quality(recording, views, evaluation)
     quality |= details.starting_rig(
         views.association.views, views.association.T_world_color, lenses, board, reference, config.initialization
     )
     if joint is not None:
         with_depth = [name for name in cameras if recording.depth_files[name]]
         quality |= details.expectation(rig, joint, boards, board, with_depth)
+    stated_mm = quality.get("expected_alignment", {}).get("mean_mm", 0.0)
+    quality |= self_check.of_calibration(
+        solution,
+        residuals,
+        views.detections.views,
+        views.association,
+        board,
+        recording.frames,
+        stated_mm,
+        config.self_check,
+    )
     quality |= {"board": asdict(board), "depth_bias_samples": views.bias_samples}
     provenance = {
         **provenance_of(config),
@@ -196,13 +209,13 @@ def refine_correspondences(
     views = _no_views(lenses)
     if config.method == "init":
         rig = _rig_of_poses(start.T_world_color, {}, views, reference)
-        quality: dict[str, Any] = {"initialization": _steps(start)}
+        quality: dict[str, Any] = {"initialization": steps_of(start)}
         refined = None
     else:
         params = _refinement(config)
         refined = refine(data, lenses.intrinsics, start.T_world_color, reference, params)
         rig = _rig_of_refinement(refined, views, reference)
-        quality = {"initialization": _steps(start), **refinement_quality(refined)}
+        quality = {"initialization": steps_of(start), **refinement_quality(refined)}
     return replace(rig, quality={"method": config.method, **plain(quality)}), refined
 
 
@@ -289,99 +302,10 @@ def _rig_of_refinement(refined: RefinementResult, views: Views, reference: str) 
     rig = _rig_of_poses(refined.T_world_color, refined.covariance, views, reference)
     cameras = {}
     for name, own in rig.cameras.items():
-        sigmas = _finite({"sigma_2d_px": refined.sigmas_2d_px[name], "sigma_3d_m": refined.sigmas_3d_m[name]})
+        sigmas = finite({"sigma_2d_px": refined.sigmas_2d_px[name], "sigma_3d_m": refined.sigmas_3d_m[name]})
         model = {"sigma_3d_model": "isotropic, for each coordinate"} if "sigma_3d_m" in sigmas else {}
         cameras[name] = replace(own, statistics={**sigmas, **model})
     return replace(rig, cameras=cameras)
-
-
-def refinement_quality(refined: RefinementResult) -> dict[str, Any]:
-    """What the refinement says of itself, as plain numbers."""
-    return {
-        "status": refined.status,
-        "message": refined.message,
-        **_finite(
-            {
-                "sigma_2d_px": refined.sigma_2d_px,
-                "sigma_3d_m": refined.sigma_3d_m,
-                "w": refined.w,
-                "redundancy_2d": refined.redundancy_2d,
-                "redundancy_3d": refined.redundancy_3d,
-                "cost": refined.cost,
-            }
-        ),
-        "iterations": refined.iterations,
-        "rounds": [
-            _finite({"w": r.w, "sigma_2d_px": r.sigma_2d_px, "sigma_3d_m": r.sigma_3d_m, "cost": r.cost})
-            for r in refined.history
-        ],
-        "dropped_rows": refined.dropped,
-    }
-
-
-def _bundle_quality(solved: BundleResult) -> dict[str, Any]:
-    return {
-        "status": "converged" if solved.converged else "max_rounds",
-        "message": solved.message,
-        "cost": solved.cost,
-        "iterations": solved.iterations,
-        "rounds": [
-            {
-                "cost": r.cost,
-                "sigma_2d_px": dict(zip(solved.cameras, r.sigma_2d_px, strict=True)),
-                "depth_k_per_m": dict(zip(solved.cameras, r.k_depth, strict=True)),
-                "depth_cell_exponent": r.cell_exponent,
-                "pose_part_pixel": r.ratio_pixel,
-                "pose_part_depth": r.ratio_depth,
-                "dropped_views": r.dropped_views,
-            }
-            for r in solved.history
-        ],
-        "dropped": _by_camera(solved.dropped),
-        "dropped_depth_corners": solved.dropped_depth_corners,
-        "not_observable": list(solved.observability.sentences),
-        "reciprocal_condition": solved.observability.reciprocal_condition,
-        "board_bow_m": solved.state.bow_m,
-    }
-
-
-def _common_quality(recording: Recording, views: Views, evaluation: Evaluation | None) -> dict[str, Any]:
-    found, association = views.detections, views.association
-    used = {name: sum(p.view.camera == name for p in association.views) for name in recording.cameras}
-    out: dict[str, Any] = {
-        "images": {name: len(files) for name, files in recording.color_files.items()},
-        "views_found": {name: len(found.of(name)) for name in recording.cameras},
-        "views_used": used,
-        "views_not_associated": _by_camera(association.dropped),
-        "turned_views": _by_camera({(p.view.camera, p.view.frame): "half turn" for p in association.views if p.turned}),
-        "back_views": sum(p.back for p in association.views),
-        "plane_filter": {
-            "dropped_corners": views.filtered.dropped_corners,
-            "dropped_depth": [f"{camera} {frame}" for camera, frame in views.filtered.dropped_views],
-        },
-        "pairs": [
-            {"cameras": list(p.cameras), "common_frames": p.frames, "agreeing": p.votes, "rival": p.rival_votes}
-            for p in association.pairs
-        ],
-    }
-    if evaluation is not None:
-        out["alignment_on_recording"] = evaluation.summary()
-    return out
-
-
-def _steps(start: InitializationResult) -> list[dict[str, Any]]:
-    return [{"camera": s.camera, "from": s.from_camera, "points": s.points, "method": s.method} for s in start.steps]
-
-
-def _by_camera(reasons: Mapping[tuple[str, str], str]) -> dict[str, dict[str, str]]:
-    out: dict[str, dict[str, str]] = {}
-    for (camera, frame), why in sorted(reasons.items()):
-        out.setdefault(camera, {})[frame] = why
-    return out
-
-
-def _finite(numbers: Mapping[str, float]) -> dict[str, float]:
-    return {key: value for key, value in numbers.items() if np.isfinite(value)}
 
 
 def _pairs_with_depth(placed: Sequence[PlacedView]) -> bool:

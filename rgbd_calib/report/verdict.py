@@ -13,8 +13,8 @@ NOISE_FACTOR = 2.0
 """The same for the median distance measured on the recording, which has the noise of two single depths in it."""
 MIN_COMMON_FRAMES = 3
 
-Level = Literal["good", "fair", "poor", "unknown"]
-_ORDER: tuple[Level, ...] = ("good", "fair", "poor")
+Level = Literal["good", "fair", "poor", "untrusted", "unknown"]
+_ORDER: tuple[Level, ...] = ("good", "fair", "poor", "untrusted")
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,17 @@ def judge(quality: Mapping[str, Any], missing: Sequence[str], depth_noise_mm: fl
     weak, advice = _weaknesses(quality)
     reasons += weak
     steps += advice
+    checks = quality.get("self_check", {})
+    found = checks.get("findings", [])
+    if found:
+        levels.append("fair" if checks["trusted"] else "untrusted")
+        reasons = [_finding(own) for own in found] + reasons
+        steps = [_sentence(own["advice"]) for own in found if own["advice"]] + steps
+    elif checks.get("tested"):
+        reasons.append(
+            f"Self-checks: {checks['tested']} tests of the residuals (over the image, the range, time and cameras, and with "
+            "parts of the recording held out) found nothing that the stated errors leave out."
+        )
     if weak and levels:
         levels.append("fair")
     level: Level = max(levels, key=_ORDER.index) if levels else "unknown"
@@ -68,7 +79,17 @@ def judge(quality: Mapping[str, Any], missing: Sequence[str], depth_noise_mm: fl
         steps.insert(0, "Use it. Whenever the rig may have been touched: `rgbd-calib verify RIG.yaml NEW_RECORDING`.")
     else:
         steps.append("Film what is asked for above, add it to the recording, and calibrate again.")
-    return Verdict(level, _headline(level, expected, measured), tuple(reasons), tuple(steps))
+    headline = (
+        f"Do not trust this. {found[0]['text']}." if level == "untrusted" else _headline(level, expected, measured)
+    )
+    return Verdict(level, headline, tuple(reasons), tuple(steps))
+
+
+def _finding(own: Mapping[str, Any]) -> str:
+    if own["level"] == "distrust":
+        return f"Self-check ({own['check']}): {_sentence(own['text'])}"
+    more = f" Count with {_mm(own['effect_mm'])} more than the stated error." if "effect_mm" in own else ""
+    return f"Self-check ({own['check']}): {_sentence(own['text'])}{more}"
 
 
 def _lower_bound(expected: Mapping[str, Any]) -> bool:

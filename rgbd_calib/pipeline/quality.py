@@ -1,0 +1,107 @@
+"""What a calibration says of its way, as plain numbers for the rig file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rgbd_calib.io.recording import Recording
+from rgbd_calib.pipeline.evaluate import Evaluation
+from rgbd_calib.stages.bundle import BundleResult
+from rgbd_calib.stages.initialization import InitializationResult
+from rgbd_calib.stages.refinement import RefinementResult
+
+if TYPE_CHECKING:
+    from rgbd_calib.pipeline.calibrate import Views
+
+
+def refinement_quality(refined: RefinementResult) -> dict[str, Any]:
+    """What the refinement says of itself, as plain numbers."""
+    return {
+        "status": refined.status,
+        "message": refined.message,
+        **finite(
+            {
+                "sigma_2d_px": refined.sigma_2d_px,
+                "sigma_3d_m": refined.sigma_3d_m,
+                "w": refined.w,
+                "redundancy_2d": refined.redundancy_2d,
+                "redundancy_3d": refined.redundancy_3d,
+                "cost": refined.cost,
+            }
+        ),
+        "iterations": refined.iterations,
+        "rounds": [
+            finite({"w": r.w, "sigma_2d_px": r.sigma_2d_px, "sigma_3d_m": r.sigma_3d_m, "cost": r.cost})
+            for r in refined.history
+        ],
+        "dropped_rows": refined.dropped,
+    }
+
+
+def bundle_quality(solved: BundleResult) -> dict[str, Any]:
+    return {
+        "status": "converged" if solved.converged else "max_rounds",
+        "message": solved.message,
+        "cost": solved.cost,
+        "iterations": solved.iterations,
+        "rounds": [
+            {
+                "cost": r.cost,
+                "sigma_2d_px": dict(zip(solved.cameras, r.sigma_2d_px, strict=True)),
+                "depth_k_per_m": dict(zip(solved.cameras, r.k_depth, strict=True)),
+                "depth_cell_exponent": r.cell_exponent,
+                "pose_part_pixel": r.ratio_pixel,
+                "pose_part_depth": r.ratio_depth,
+                "dropped_views": r.dropped_views,
+            }
+            for r in solved.history
+        ],
+        "dropped": _by_camera(solved.dropped),
+        "dropped_depth_corners": solved.dropped_depth_corners,
+        "not_observable": list(solved.observability.sentences),
+        "reciprocal_condition": solved.observability.reciprocal_condition,
+        "board_bow_m": solved.state.bow_m,
+        "common_error_sigmas": {"pixel": solved.common.pixel, "depth": solved.common.depth},
+    }
+
+
+def common_quality(recording: Recording, views: Views, evaluation: Evaluation | None) -> dict[str, Any]:
+    found, association = views.detections, views.association
+    used = {name: sum(p.view.camera == name for p in association.views) for name in recording.cameras}
+    out: dict[str, Any] = {
+        "images": {name: len(files) for name, files in recording.color_files.items()},
+        "views_found": {name: len(found.of(name)) for name in recording.cameras},
+        "views_used": used,
+        "views_not_associated": _by_camera(association.dropped),
+        "turned_views": _by_camera({(p.view.camera, p.view.frame): "half turn" for p in association.views if p.turned}),
+        "back_views": sum(p.back for p in association.views),
+        "plane_filter": {
+            "dropped_corners": views.filtered.dropped_corners,
+            "dropped_depth": [f"{camera} {frame}" for camera, frame in views.filtered.dropped_views],
+        },
+        "pairs": [
+            {"cameras": list(p.cameras), "common_frames": p.frames, "agreeing": p.votes, "rival": p.rival_votes}
+            for p in association.pairs
+        ],
+    }
+    if evaluation is not None:
+        out["alignment_on_recording"] = evaluation.summary()
+    return out
+
+
+def steps_of(start: InitializationResult) -> list[dict[str, Any]]:
+    return [{"camera": s.camera, "from": s.from_camera, "points": s.points, "method": s.method} for s in start.steps]
+
+
+def _by_camera(reasons: Mapping[tuple[str, str], str]) -> dict[str, dict[str, str]]:
+    out: dict[str, dict[str, str]] = {}
+    for (camera, frame), why in sorted(reasons.items()):
+        out.setdefault(camera, {})[frame] = why
+    return out
+
+
+def finite(numbers: Mapping[str, float]) -> dict[str, float]:
+    return {key: value for key, value in numbers.items() if np.isfinite(value)}

@@ -1,0 +1,42 @@
+"""Is the result what it says it is? Tests of a calibration's residuals against what its own covariance allows.
+
+Weights are estimated from the residuals, so that the sum of squares as a whole fits by construction. What the estimate
+does not absorb is tested: :mod:`.equations` has the score test and the deletion of frames, :mod:`.hypotheses` the errors
+that happen to rigs (a camera that moved, another lens, a board of another size, depth beside its colour, smooth fields over
+image and range), :mod:`.checks` what needs no equations, :mod:`.findings` from when on something is said.
+"""
+
+from rgbd_calib.stages.self_check.checks import (
+    Noise,
+    check_copies,
+    check_dropped,
+    check_groups,
+    check_noise,
+    check_votes,
+    group_ratios,
+)
+from rgbd_calib.stages.self_check.equations import NO_MOMENT, Deletion, Equations, Score, delete, score_test
+from rgbd_calib.stages.self_check.findings import Finding, SelfCheck, SelfCheckParams
+from rgbd_calib.stages.self_check.hypotheses import Test, findings_of, tests_of
+
+__all__ = [
+    "NO_MOMENT",
+    "Deletion",
+    "Equations",
+    "Finding",
+    "Noise",
+    "Score",
+    "SelfCheck",
+    "SelfCheckParams",
+    "Test",
+    "check_copies",
+    "check_dropped",
+    "check_groups",
+    "check_noise",
+    "check_votes",
+    "delete",
+    "findings_of",
+    "group_ratios",
+    "score_test",
+    "tests_of",
+]

@@ -1,0 +1,289 @@
+"""Tests of a least-squares solution against what its model leaves out, without solving again.
+
+Rows of view v, in sigmas: r = J_g x_g + J_b x_b(frame) + A a + e, with x_g the global parameters, x_b a pose of the board
+for each frame, and A a an error that the model does not have (a camera that moved half-way, a board of another size).
+With C the inverse of the normal equations, priors included, and M = I - J C J', the residuals of the solution are M e, and
+
+    score        s = A' M r                        information   I = A' M A
+    estimate     a = -I^-1 s                       Var(s) = I + sum_v (Q_v' M A)' diag(excess) (Q_v' M A)
+    statistic    T = s' Var(s)^-1 s ~ chi2(q)      where the model is right                                  (Rao's score test)
+
+`excess` is by how much the variance of a view's pose part exceeds that of its other residuals: errors of one view are
+not independent (the sandwich of the bundle's own covariance). a is exactly what a new linear solution with A added would
+give. Only products of each view's rows are kept, so that the size of a test does not depend on the number of corners.
+
+Taking frames away works on the same equations. With the boards eliminated, each frame f adds S_f to the reduced normal
+equations S and g_f to their gradient, so that without the frames F
+
+    x_(-F) = x - (S - S_F)^-1 (g - g_F)
+
+which is the deletion formula of linear regression for groups (Cook, Weisberg) and one Gauss-Newton step of a real refit.
+At x_(-F) the frames F have the gradient h = g_F + S_F (x_(-F) - x). If all frames are of one rig, its variance is
+B_F + S_F Cov_(-F) S_F, B_F the frames' own information with the excess, and h' Var(h)^+ h ~ chi2(rank).
+
+References
+----------
+C. R. Rao, Large sample tests of statistical hypotheses, Math. Proc. Camb. Phil. Soc. 44(1), 1948.
+R. D. Cook, S. Weisberg, Residuals and Influence in Regression, Chapman and Hall, 1982, chapters 2 and 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import chi2
+
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.types import IntArray
+
+NO_MOMENT = -1
+"""Moment of views of another recording: of each camera alone."""
+SEEN = 1e-4
+"""A direction of A of which M leaves less than this share is what the model has already."""
+CLEAR_SIGMAS = 3.0
+"""Parts of an estimate below this many of their standard deviations do not count towards its size."""
+
+
+@dataclass(frozen=True)
+class Equations:
+    """A solution's equations, as products of each view's rows; V views, F boards, P global parameters, G local columns."""
+
+    cameras: tuple[str, ...]
+    camera: IntArray
+    """(V,)."""
+    frame: IntArray
+    """(V,), number of the board's pose."""
+    moment: IntArray
+    """(V,), place of the frame in time, from 0; NO_MOMENT for views of another recording."""
+    shared: IntArray
+    """(V,) bool: other cameras see the board in this frame too."""
+    moments: tuple[str, ...]
+    """Names of the frames, by moment."""
+    local: Mapping[str, slice]
+    """Local columns by name: pose, lens, bias, bow, board (these are the model's, in this order), and errors it lacks."""
+    index: IntArray
+    """(V, L), the global parameter of each local column before the board's."""
+    gram: FloatArray
+    """(V, G, G), of the rows in sigmas."""
+    score: FloatArray
+    """(V, G), the columns' products with the residuals, predicted less measured."""
+    low: FloatArray
+    """(V, D, G), the columns' parts in what a board moved in this view alone would change."""
+    excess: FloatArray
+    """(D,), ratio^2 - 1 of the variance of those parts."""
+    size: FloatArray
+    """(V, G, G), products of the columns in metres at the board, for the size of an effect."""
+    corners: IntArray
+    """(V,), corners behind `size`."""
+    distance_m: FloatArray
+    """(V,), of the board from its camera."""
+    prior: FloatArray
+    """(P, P), information."""
+    prior_gradient: FloatArray
+    """(P,)."""
+    free: IntArray
+    """(P,) bool."""
+
+    @property
+    def n_boards(self) -> int:
+        return int(self.frame.max()) + 1
+
+    @property
+    def board(self) -> slice:
+        return self.local["board"]
+
+    @cached_property
+    def W(self) -> FloatArray:
+        """(F, P, 6)."""
+        W = np.zeros((self.n_boards, len(self.free), 6))
+        np.add.at(W, (self.frame[:, None], self.index), self.gram[:, : self.index.shape[1], self.board])
+        return W * self.free[:, None]
+
+    @cached_property
+    def V_inv(self) -> FloatArray:
+        """(F, 6, 6)."""
+        V = np.zeros((self.n_boards, 6, 6))
+        np.add.at(V, self.frame, self.gram[:, self.board, self.board])
+        V[np.trace(V, axis1=1, axis2=2) == 0] = np.eye(6)
+        return np.asarray(np.linalg.inv(V), np.float64)
+
+    @cached_property
+    def board_gradient(self) -> FloatArray:
+        """(F, 6)."""
+        g = np.zeros((self.n_boards, 6))
+        np.add.at(g, self.frame, self.score[:, self.board])
+        return g
+
+    @cached_property
+    def frame_information(self) -> FloatArray:
+        """(F, P, P), what each frame adds to the reduced equations, its board eliminated."""
+        P = len(self.free)
+        S = np.zeros((self.n_boards, P, P))
+        L = self.index.shape[1]
+        for v, f in enumerate(self.frame):
+            S[f][np.ix_(self.index[v], self.index[v])] += self.gram[v, :L, :L]
+        S *= np.outer(self.free, self.free)
+        return S - self.W @ self.V_inv @ self.W.transpose(0, 2, 1)
+
+    @cached_property
+    def frame_gradient(self) -> FloatArray:
+        """(F, P), likewise."""
+        g = np.zeros((self.n_boards, len(self.free)))
+        np.add.at(g, (self.frame[:, None], self.index), self.score[:, : self.index.shape[1]])
+        g *= self.free
+        return g - np.einsum("fpi,fij,fj->fp", self.W, self.V_inv, self.board_gradient, optimize=True)
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """(P, P), reduced; one on the diagonal of what is held."""
+        S = self.frame_information.sum(axis=0) + self.prior * np.outer(self.free, self.free)
+        return S + np.diag(1.0 - self.free)
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """(P, P), of the free parameters, all residuals independent."""
+        return invert(self.information) * np.outer(self.free, self.free)
+
+    @cached_property
+    def step(self) -> tuple[FloatArray, FloatArray]:
+        """What the solution still lacks of the minimum, (P,) and (F, 6): zero but for rounding and what was held."""
+        x = -self.covariance @ (self.frame_gradient.sum(axis=0) + self.prior_gradient * self.free)
+        return x, -np.einsum("fij,fj->fi", self.V_inv, self.board_gradient + np.einsum("fpi,p->fi", self.W, x))
+
+    @cached_property
+    def frame_excess(self) -> FloatArray:
+        """(F, P, P), what the excess of the pose parts adds to the variance of each frame's reduced gradient."""
+        L, P = self.index.shape[1], len(self.free)
+        out = np.zeros((self.n_boards, P, P))
+        carried = self.V_inv @ self.W.transpose(0, 2, 1)
+        for v, f in enumerate(self.frame):
+            rows = -self.low[v][:, self.board] @ carried[f]
+            rows[:, self.index[v]] += self.low[v][:, :L] * self.free[self.index[v]]
+            out[f] += rows.T @ (self.excess[:, None] * rows)
+        return out
+
+    @cached_property
+    def honest_covariance(self) -> FloatArray:
+        """(P, P), the excess counted."""
+        honest: FloatArray = self.covariance + self.covariance @ self.frame_excess.sum(axis=0) @ self.covariance
+        return honest
+
+
+def invert(S: FloatArray) -> FloatArray:
+    """Inverse of a positive matrix, its diagonal scaled to one first; what is numerically zero stays zero."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(S), 1e-300))
+    inverse = np.linalg.pinv(S * np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    return np.asarray(inverse * np.outer(scale, scale), np.float64)
+
+
+@dataclass(frozen=True)
+class Score:
+    """Outcome of a score test."""
+
+    statistic: float
+    freedom: int
+    p: float
+    estimate: FloatArray
+    """(q,)."""
+    covariance: FloatArray
+    """(q, q)."""
+    effect_m: float
+    """RMS over the corners concerned of what the clear part of the estimate moves them by, metres."""
+
+
+def score_test(eq: Equations, columns: IntArray, where: IntArray, effect: FloatArray | None = None) -> Score:
+    """Would the solution gain by the errors `columns` in the views `where`?
+
+    Parameters
+    ----------
+    columns : (q,), local columns.
+    where : (V,) bool.
+    effect : (q, q), mean square of the error in metres as a quadratic form of the estimate; None: of `size`.
+    """
+    q, L = len(columns), eq.index.shape[1]
+    rows = np.flatnonzero(where)
+    gram = eq.gram[rows][:, :, columns]
+    cross = np.zeros((len(eq.free), q))  # J_g' A
+    np.add.at(cross, eq.index[rows], gram[:, :L])
+    cross *= eq.free[:, None]
+    boards = np.zeros((eq.n_boards, 6, q))  # J_b' A
+    np.add.at(boards, eq.frame[rows], gram[:, eq.board])
+    VB = eq.V_inv @ boards
+    cross = cross - np.einsum("fpi,fiq->pq", eq.W, VB, optimize=True)
+    X = eq.covariance @ cross
+    Y = VB - np.einsum("fij,fpj,pq->fiq", eq.V_inv, eq.W, X, optimize=True)
+    own = gram[:, columns].sum(axis=0)
+    information = own - np.einsum("fip,fiq->pq", boards, VB, optimize=True) - cross.T @ X
+    x, b = eq.step
+    score = eq.score[rows][:, columns].sum(axis=0) + np.einsum("vlq,vl->q", gram[:, :L], x[eq.index[rows]])
+    score = score + np.einsum("viq,vi->q", gram[:, eq.board], b[eq.frame[rows]])
+    low = np.zeros((len(eq.frame), eq.low.shape[1], q))
+    low[rows] = eq.low[rows][:, :, columns]
+    low -= eq.low[:, :, :L] @ X[eq.index] + eq.low[:, :, eq.board] @ Y[eq.frame]
+    variance = information + np.einsum("d,vdp,vdq->pq", eq.excess, low, low, optimize=True)
+    if effect is None:
+        effect = eq.size[rows][:, columns[:, None], columns].sum(axis=0) / max(int(eq.corners[rows].sum()), 1)
+    return judge(score, information, variance, np.sqrt(np.maximum(np.diag(own), 1e-300)), effect)
+
+
+def judge(
+    score: FloatArray, information: FloatArray, variance: FloatArray, scale: FloatArray, effect: FloatArray
+) -> Score:
+    """Statistic, estimate and clear effect of a score (q,), directions that the model has already left out."""
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    kept = values > SEEN
+    if not kept.any():
+        return Score(0.0, 0, 1.0, np.zeros(len(score)), np.zeros((len(score),) * 2), 0.0)
+    U = vectors[:, kept]
+    s, var = U.T @ (score / scale), U.T @ (variance / np.outer(scale, scale)) @ U
+    statistic = float(s @ np.linalg.solve(var, s))
+    B = U / values[kept] / scale[:, None]  # estimate = -B s
+    estimate, covariance = -B @ s, B @ var @ B.T
+    freedom = int(kept.sum())
+    return Score(
+        statistic, freedom, float(chi2.sf(statistic, freedom)), estimate, covariance, clear_effect(-s, var, B, effect)
+    )
+
+
+def clear_effect(s: FloatArray, variance: FloatArray, B: FloatArray, effect: FloatArray) -> float:
+    """Root of a' E a over the parts of a = B s, s of this variance, that stand out of their noise."""
+    L = np.linalg.cholesky(variance)
+    y = np.linalg.solve(L, s)
+    BL = B @ L
+    sizes, axes = np.linalg.eigh(BL.T @ effect @ BL)
+    parts = axes.T @ y
+    return float(np.sqrt(np.sum((np.maximum(sizes, 0) * parts**2)[np.abs(parts) > CLEAR_SIGMAS])))
+
+
+@dataclass(frozen=True)
+class Deletion:
+    """The solution without some frames, and how well those frames agree with it."""
+
+    step: FloatArray
+    """(P,), x_(-F) - x."""
+    covariance: FloatArray
+    """(P, P), of x_(-F)."""
+    statistic: float
+    freedom: int
+    p: float
+
+
+def delete(eq: Equations, gone: IntArray) -> Deletion:
+    """Take the boards `gone`, (F,) bool, away."""
+    S_gone, g_gone = eq.frame_information[gone].sum(axis=0), eq.frame_gradient[gone].sum(axis=0)
+    left = invert(eq.information - S_gone) * np.outer(eq.free, eq.free)
+    gradient = eq.frame_gradient.sum(axis=0) + eq.prior_gradient * eq.free
+    step = -left @ (gradient - g_gone)
+    extra = eq.frame_excess
+    covariance = left + left @ extra[~gone].sum(axis=0) @ left
+    h = g_gone + S_gone @ step
+    variance = S_gone + extra[gone].sum(axis=0) + S_gone @ covariance @ S_gone
+    scale = 1 / np.sqrt(np.maximum(np.diag(variance), 1e-300))
+    values, vectors = np.linalg.eigh(variance * np.outer(scale, scale))
+    kept = values > 1e-8 * values[-1]
+    statistic = float(np.sum((vectors[:, kept].T @ (scale * h)) ** 2 / values[kept]))
+    freedom = int(kept.sum())
+    return Deletion(step, covariance, statistic, freedom, float(chi2.sf(statistic, freedom)))

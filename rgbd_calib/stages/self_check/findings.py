@@ -1,0 +1,77 @@
+"""What a self-check says, and from when on it says it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+Level = Literal["caution", "distrust"]
+
+
+@dataclass(frozen=True)
+class SelfCheckParams:
+    """When a deviation is worth a sentence: significant, and large enough to matter."""
+
+    significance: float = 1e-3
+    """Chance of a false alarm in a recording whose errors are as the model says, shared evenly among all tests of the
+    recording (Bonferroni): one in a thousand calibrations."""
+    caution_mm: float = 1.0
+    """Three such errors make the 3 mm up to which a rig is called good; less than what is stated is no news either."""
+    distrust_mm: float = 3.0
+    """The noise of one depth pixel at 1.4 m (1.6e-3 z^2): beyond it an error shows in every fused cloud."""
+    splits: int = 8
+    """A change is looked for at seven places in time: one between two of them is blurred over a sixteenth of the frames."""
+    folds: int = 4
+    """Parts in time that are held out in turn: a quarter is enough to tell and leaves enough to calibrate with."""
+    min_side: int = 3
+    """Frames on each side of a change, and views of a camera in each of two recordings, that can speak of it."""
+    max_sigma_px: float = 0.5
+    """Finders of corners leave 0.02 to 0.2 px; a scatter of half a pixel is blur, a lens beyond the model, or motion."""
+    bad_sigma_px: float = 1.0
+    max_depth_k_per_m: float = 5e-3
+    """sigma_z = k z^2 of the mean over a corner's cell. One pixel of a Kinect or Xtion has 1.6e-3, of the worst sensors
+    of this kind 5e-3: a mean that is no better than the worst single pixel is not the sensor's noise."""
+    bad_depth_k_per_m: float = 10e-3
+    max_group_ratio: float = 2.0
+    """Of the deviation in a part of the data over the camera's whole: the stated errors may be off by so much there."""
+    min_group: int = 100
+    """Residuals of such a part: the ratio is then known to 7 %."""
+    min_votes_share: float = 0.5
+    """Of the common frames of two cameras that must agree on where the two stand: with fewer, most of the recording says
+    that they stand elsewhere."""
+    max_dropped_share: float = 0.3
+    """Of a camera's views that may be left out as gross errors: estimates that resist them break down at a half."""
+    copies_sigmas: float = 6.0
+    """Two frames whose corners differ by less than so many sigmas in all views show one and the same placement."""
+    max_copies: float = 2.0
+    """Frames for each placement of the board: with more, the stated errors are too small by the root of it and more."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something is not as the model says."""
+
+    check: str
+    level: Level
+    cameras: tuple[str, ...]
+    text: str
+    """What is seen, and what that means."""
+    advice: str
+    effect_mm: float | None = None
+    p: float | None = None
+    """Chance of it where all is well, in one test."""
+
+
+@dataclass(frozen=True)
+class SelfCheck:
+    """The outcome of all checks of a result."""
+
+    findings: tuple[Finding, ...]
+    """Those that matter most first."""
+    statistics: Mapping[str, Any]
+    """Plain numbers: each test's statistic, degrees of freedom, p and effect."""
+
+    @property
+    def trusted(self) -> bool:
+        return not any(finding.level == "distrust" for finding in self.findings)

@@ -1,0 +1,180 @@
+"""Is a spoiled recording ever calibrated wrongly without a word? Each way to spoil one in turn, against the truth.
+
+    python scripts/study_silent_failures.py [--json] [--seeds 3] [--only PATTERN]
+
+A row is right where both errors, two cameras' places of one point against each other and against the truth, are within
+three times the expected error that the result states, or within 1.5 times those of the same session unspoiled (and half a
+millimetre, below which the studies' own draw decides); else it must have ended in an error, or in a verdict that
+says not to trust it or by how much the stated error is too small. What is left is SILENT.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import time
+import zlib
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+
+from rgbd_calib.errors import RgbdCalibError
+from rgbd_calib.geometry import se3
+from rgbd_calib.io.recording import open_recording
+from rgbd_calib.io.rig import write_depth_bias, write_intrinsics
+from rgbd_calib.pipeline.calibrate import Calibration, calibrate
+from rgbd_calib.pipeline.config import Config
+from rgbd_calib.pipeline.detection import detections_from, silent
+from rgbd_calib.pipeline.evaluate import against_truth
+from rgbd_calib.report.verdict import judge
+from rgbd_calib.stages import uncertainty
+from rgbd_calib.stages.depth_bias import fit_with_data
+from rgbd_calib.stages.detect import DetectParams
+from rgbd_calib.synthetic.faults import FAULTS, RINGS
+from rgbd_calib.synthetic.session import Session, draw_scene, write_session
+from rgbd_calib.types import Rig
+
+CLEAN_FACTOR, STATED_FACTOR, FLOOR_MM = 1.5, 3.0, 0.5
+
+
+@dataclass(frozen=True)
+class Row:
+    """What came of one spoiled session."""
+
+    fault: str
+    seed: int
+    alignment_mm: float | None
+    """Two cameras' places of one point, mean over the volume where the board was."""
+    place_mm: float | None
+    """A camera's place of a point against the truth, in the reference camera's frame."""
+    stated_mm: float | None
+    level: str
+    says: str
+    seconds: float
+
+    def judged(self, clean: Row) -> str:
+        """right, clear error, warned or SILENT."""
+        if self.level == "error":
+            return "clear error"
+        assert self.alignment_mm is not None and self.place_mm is not None
+        assert clean.alignment_mm is not None and clean.place_mm is not None
+        stated = STATED_FACTOR * (self.stated_mm or 0.0)
+        good = all(
+            mine <= max(stated, CLEAN_FACTOR * usual, FLOOR_MM)
+            for mine, usual in ((self.alignment_mm, clean.alignment_mm), (self.place_mm, clean.place_mm))
+        )
+        warned = self.level in ("untrusted", "poor")
+        return ("right, warned" if warned else "right") if good else "warned" if warned else "SILENT"
+
+
+def try_fault(fault: str, seed: int, cameras: int = 3, frames: int = 24, close: int = 14) -> Row:
+    """Spoil a drawn session in one way, and calibrate it."""
+    layout, n = ("ring", max(cameras, 4)) if fault in RINGS else ("arc", cameras)
+    rng = np.random.default_rng([seed, zlib.crc32(fault.encode())])
+    scene = draw_scene(n, layout, frames, close, np.random.default_rng(seed))  # type: ignore[arg-type]
+    session = FAULTS[fault](scene, rng)
+    start = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            result = calibrate_session(session, Path(folder))
+        except RgbdCalibError as error:
+            said = str(error).replace(folder, "DIR")
+            return Row(fault, seed, None, None, None, "error", said, time.perf_counter() - start)
+    seconds = time.perf_counter() - start
+    quality = result.rig.quality
+    verdict = judge(quality, ())
+    return Row(
+        fault,
+        seed,
+        1e3 * float(against_truth(result.rig, session.truth, session.boards, session.board).distance_m.mean()),
+        place_error_mm(result.rig, session),
+        quality.get("expected_alignment", {}).get("mean_mm"),
+        verdict.level,
+        " | ".join([verdict.headline, *verdict.reasons]),
+        seconds,
+    )
+
+
+def calibrate_session(session: Session, folder: Path) -> Calibration:
+    """The whole calibration of a session, from its corners."""
+    write_session(session, folder)
+    for dataset in folder.glob("*/dataset.yaml"):  # as written by hand: the program itself refuses to write such sizes
+        if session.board.square_m > 1:
+            dataset.write_text(dataset.read_text().replace("square: 1.0", f"square: {session.board.square_m}"))
+    recording = open_recording(folder / "extrinsic")
+    found = detections_from(recording, folder / "extrinsic.csv", DetectParams(), None, silent)
+    lenses, bias, close = None, None, None
+    if session.lenses:
+        lenses = folder / "intrinsics.yaml"
+        write_intrinsics(lenses, session.lenses, {}, {}, {})
+    elif session.close is not None:
+        lenses = folder / "intrinsic"
+        close = detections_from(open_recording(lenses), folder / "intrinsic.csv", DetectParams(), None, silent)
+    if session.walls is not None:
+        bias = folder / "depth_bias.yaml"
+        fits = {
+            c: fit_with_data(rows[:, 0], rows[:, 1], camera=c, sigma_m=rows[:, 2]) for c, rows in session.walls.items()
+        }
+        write_depth_bias(bias, {c: fit.bias for c, fit in fits.items()}, {}, {}, {})
+    return calibrate(
+        recording, Config(), intrinsics=lenses, depth_bias=bias, detections=found, intrinsic_detections=close
+    )
+
+
+def place_error_mm(rig: Rig, session: Session) -> float:
+    """Mean distance of where each camera puts points of the boards' box from where they are."""
+    truth = session.truth
+    T_world_truth = truth.cameras[truth.reference].T_world_color  # the rig's world is this camera
+    corners = np.concatenate([se3.transform(T, session.board.corners_m()) for T in session.boards.values()])
+    points = uncertainty.volume(corners, 8)
+    errors = []
+    for name in rig.cameras:
+        seen = uncertainty.observe(truth, name, points)
+        put = uncertainty.place(rig, name, seen.pixels_px[seen.seen], seen.raw_m[seen.seen])
+        errors.append(np.linalg.norm(put - se3.transform(se3.inverse(T_world_truth), points[seen.seen]), axis=1))
+    return 1e3 * float(np.concatenate(errors).mean())
+
+
+def rows_of(faults: list[str], seeds: int) -> Iterator[tuple[Row, str]]:
+    """Every fault with every seed, and what it is judged to be."""
+    clean: dict[tuple[bool, int], Row] = {}
+    for fault in faults:
+        for seed in range(seeds):
+            ring = fault in RINGS
+            if (ring, seed) not in clean:
+                if ring:
+                    FAULTS["nothing, in a ring"] = FAULTS["nothing"]
+                    RINGS.add("nothing, in a ring")
+                clean[ring, seed] = try_fault("nothing, in a ring" if ring else "nothing", seed)
+            row = clean[ring, seed] if fault == "nothing" else try_fault(fault, seed)
+            yield row, row.judged(clean[ring, seed])
+
+
+@click.command()
+@click.option("--seeds", default=1, show_default=True)
+@click.option("--only", default="", help="Faults whose name contains this.")
+@click.option("--json", "as_json", is_flag=True, help="Print the rows as JSON.")
+def main(seeds: int, only: str, as_json: bool) -> None:
+    rows = []
+    for row, judged in rows_of([f for f in FAULTS if only in f], seeds):
+        rows.append({**asdict(row), "judged": judged})
+        errors = "" if row.alignment_mm is None else f"{row.alignment_mm:.2f} / {row.place_mm:.2f}"
+        click.echo(
+            f"{judged:14s} {row.fault}: {errors} stated {row.stated_mm} {row.level}: {row.says[:700]} ({row.seconds:.1f} s)",
+            err=True,
+        )
+    if as_json:
+        click.echo(json.dumps(rows, indent=1))
+        return
+    click.echo("| what was spoiled | alignment / place error, mm | stated, mm | judged | what is said |")
+    click.echo("|---|---|---|---|---|")
+    for r in rows:
+        errors = "" if r["alignment_mm"] is None else f"{r['alignment_mm']:.2f} / {r['place_mm']:.2f}"
+        click.echo(f"| {r['fault']} | {errors} | {r['stated_mm'] or ''} | {r['judged']} | {r['says'][:160]} |")
+
+
+if __name__ == "__main__":
+    main()
