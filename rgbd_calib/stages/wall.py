@@ -36,7 +36,8 @@ def wall_depth(depth_m: FloatArray, centre_px: tuple[float, float]) -> tuple[flo
     A, q, patch = A[near], q[near], patch[near]
     keep = np.ones(len(q), bool)
     for _ in range(10):
-        plane = np.linalg.lstsq(A[keep], q[keep], rcond=None)[0]
+        kept = A[keep]
+        plane = np.linalg.solve(kept.T @ kept, kept.T @ q[keep])  # columns within 1: well conditioned
         residual = q - A @ plane
         # the scatter of what is kept, not a median: most pixels may share one step of the disparity
         again = np.abs(residual) < CLIP_SIGMAS * (float(np.std(residual[keep])) + 1e-12)
