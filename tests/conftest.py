@@ -6,11 +6,13 @@ import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from dask_cluster import Cluster
 from hypothesis import settings
 
 from rgbd_calib.cli.main import main
@@ -122,6 +124,14 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Tiny:
     )
     write_rig(path.parent / "rig.yaml", rig)
     return Tiny(path, path.parent / "rig.yaml", rig, normal, offset_m, colors_bgr)
+
+
+@pytest.fixture(scope="session")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """A Dask scheduler with two workers."""
+    pytest.importorskip("distributed", reason="pip install 'rgbd-calib[dask]'")
+    with closing(Cluster(tmp_path_factory.mktemp("cluster"))) as running:
+        yield running
 
 
 @pytest.fixture

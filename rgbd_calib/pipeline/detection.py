@@ -133,7 +133,7 @@ def detect(
             strict=True,
         ):
             check_detector(result.detector, workers)
-            cache.keep(*image, result.view, result.contents)
+            cache.keep(*image, result.view, result.contents, result.detector)
             found.append(result.view)
     views = tuple(view for view in found if view is not None)
     if not views:
@@ -145,8 +145,8 @@ def detect(
 
 
 def check_detector(seen: str | None, workers: Workers) -> None:
-    """The same result wherever it was made: raise ConfigError where a worker has other versions than this process."""
-    if seen not in (None, detector()):
+    """The same result wherever it was made: raise ConfigError where a cluster has other versions than this process."""
+    if workers.dask is not None and seen not in (None, detector()):
         raise ConfigError(
             f"--dask {workers.dask}: a worker has other versions of rgbd-calib or of its libraries ({seen}) than this "
             f"computer ({detector()}); the same are needed for the same result. Install the same on both"

@@ -97,10 +97,10 @@ class DetectionCache:
             self.found += 1
         return known
 
-    def keep(self, camera: str, frame: str, view: BoardView | None, seen: Contents | None) -> None:
-        """Store a view that was asked for in vain, unless the files have changed in the meantime."""
+    def keep(self, camera: str, frame: str, view: BoardView | None, seen: Contents | None, by: str | None) -> None:
+        """Store a view that was asked for in vain, unless the files, or the program, have changed in the meantime."""
         asked = self._missing.pop((camera, frame), None)
-        if self._files is not None and asked is not None and asked == seen:
+        if self._files is not None and asked is not None and asked == seen and by == detector():
             self._files.put(key_of(asked, self._recording, camera, self._board, self._params), entry(view))
 
     def close(self) -> None:

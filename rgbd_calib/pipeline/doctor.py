@@ -153,7 +153,7 @@ def _look_at_all(
         looks: list[_Look] = []
         for look in progress(workers.in_order(_look, work()), len(keys), "Looking at the images"):
             check_detector(look.detector, workers)
-            cache.keep(look.key[0], look.key[1], look.view, look.contents)
+            cache.keep(look.key[0], look.key[1], look.view, look.contents, look.detector)
             looks.append(look)
     return looks
 

@@ -1,0 +1,47 @@
+"""A Dask cluster on this computer, whose processes may be killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+
+def wait_for(condition, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.05)
+
+
+class Cluster:
+    """A Dask scheduler and two workers, each a process of its own that may be killed."""
+
+    def __init__(self, folder):
+        self.folder, self.processes = folder, []
+        self.environment = os.environ | {
+            "DASK_DISTRIBUTED__WORKER__MEMORY__TERMINATE": "False",
+            "PYTHONPATH": str(Path(__file__).parent),  # the functions above
+        }
+        self._start("scheduler", "--port", "0", "--scheduler-file", folder / "scheduler.json", "--no-dashboard")
+        wait_for((folder / "scheduler.json").exists)
+        self.address = json.loads((folder / "scheduler.json").read_text())["address"]
+        self.workers = [self.start_worker() for _ in range(2)]
+
+    def start_worker(self):
+        return self._start("worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard")
+
+    def _start(self, what, *args):
+        command = [sys.executable, "-m", "dask", what, "--host", "127.0.0.1", *map(str, args)]
+        with (self.folder / "log.txt").open("a") as log:
+            started = subprocess.Popen(command, cwd=self.folder, env=self.environment, stderr=log, stdout=log)
+        self.processes.append(started)
+        return started
+
+    def close(self):
+        for started in reversed(self.processes):
+            started.kill()
+            started.wait()
