@@ -27,7 +27,10 @@ def log(R: FloatArray) -> FloatArray:
 
 def angle_rad(R: FloatArray) -> FloatArray:
     """Angles (...), rad in [0, pi], of rotation matrices (..., 3, 3)."""
-    return np.linalg.norm(log(R), axis=-1)
+    R = np.asarray(R, float)
+    sines = [R[..., i, j] - R[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))]
+    # twice the sine and the cosine: their quotient is precise at every angle
+    return np.arctan2(np.sqrt(sum(s * s for s in sines)), np.trace(R, axis1=-2, axis2=-1) - 1)
 
 
 def hat(v: FloatArray) -> FloatArray:

@@ -32,6 +32,7 @@ from rgbd_calib.stages.bundle import (
     board_poses,
     bundle,
     camera_statistics,
+    free_structure,
     pose_covariance,
 )
 from rgbd_calib.stages.correspondence import correspond
@@ -109,6 +110,8 @@ def calibrate(
     solution: BundleResult | RefinementResult | None = None
     if config.method == "bundle":
         solution = solved = _bundle(views, board, recording, config, reference)
+        if config.bundle.structure == "free":
+            solved = free_structure(solved, board, config.bundle)
         boards, rig = board_poses(solved), _rig_of_bundle(solved, reference)
         residuals, joint = details.residuals_of_bundle(solved, board), details.joint_of_bundle(solved)
         quality = bundle_quality(solved)

@@ -24,6 +24,10 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import Board, PlacedView, PosedView
 
 
+MAX_PROPOSALS = 128
+"""Frames of a pair that propose a relative pose, spread over all of them; all vote. So the time grows as the frames do."""
+
+
 @dataclass(frozen=True)
 class AssociationParams:
     max_angle_rad: float = 0.10
@@ -111,15 +115,12 @@ def _motions(board: Board) -> list[Motion]:
     return [(back, turned, board.T_face_board(back, turned)) for back in faces for turned in turns]
 
 
-def _agree(T: FloatArray, others: FloatArray, params: AssociationParams) -> tuple[FloatArray, FloatArray]:
-    """Which of (n, 4, 4) agree with T (4, 4), and how far each is, in units of the tolerance."""
-    D = np.linalg.inv(T) @ others
-    scale = np.maximum(np.linalg.norm(T[:3, 3]), 0.3)
-    distance = np.maximum(
-        so3.angle_rad(D[:, :3, :3]) / params.max_angle_rad,
-        np.linalg.norm(D[:, :3, 3], axis=1) / (params.max_shift * scale),
-    )
-    return distance < 1, distance
+def _distance(T: FloatArray, others: FloatArray, params: AssociationParams) -> FloatArray:
+    """How far (...) each of `others` (..., 4, 4) is from T (..., 4, 4), in units of the tolerance: below 1 they agree."""
+    D = se3.inverse(T) @ others
+    scale = np.maximum(np.linalg.norm(T[..., :3, 3], axis=-1), 0.3)
+    shift: FloatArray = np.linalg.norm(D[..., :3, 3], axis=-1) / (params.max_shift * scale)
+    return np.maximum(so3.angle_rad(D[..., :3, :3]) / params.max_angle_rad, shift)
 
 
 def _vote(
@@ -137,15 +138,19 @@ def _vote(
 def _best_of(pair: tuple[str, str], relative: FloatArray, params: AssociationParams) -> PairVotes:
     """The relative pose with most votes among (frames, motions, 4, 4); ties go to the tightest."""
     n_frames, n_motions = relative.shape[:2]
-    flat = relative.reshape(-1, 4, 4)
-    distances = np.stack([_agree(T, flat, params)[1] for T in flat]).reshape(-1, n_frames, n_motions)
-    nearest = distances.min(axis=2)  # of each frame's motions
+    proposed = np.unique(np.linspace(0, n_frames - 1, min(n_frames, MAX_PROPOSALS)).astype(int))
+    candidates = relative[proposed].reshape(-1, 4, 4)
+    nearest, spread = np.empty((len(candidates), n_frames)), np.empty((len(candidates), len(candidates)))
+    for k, T in enumerate(candidates):
+        distance = _distance(T, relative, params)
+        nearest[k], spread[k] = distance.min(axis=1), distance[proposed].ravel()
     votes = np.sum(nearest < 1, axis=1)
     score = votes - np.sum(np.minimum(nearest, 1), axis=1) / (n_frames + 1)
     best = int(np.argmax(score))
-    rivals = distances.reshape(len(flat), -1)[best] >= 2  # a different pose, not the same one with noise
+    rivals = spread[best] >= 2  # a different pose, not the same one with noise
     rival = int(votes[rivals].max()) if rivals.any() and n_motions > 1 else 0
-    chosen = relative[np.arange(n_frames), distances[best].argmin(axis=1)][nearest[best] < 1]
+    choice = _distance(candidates[best], relative, params).argmin(axis=1)
+    chosen = relative[np.arange(n_frames), choice][nearest[best] < 1]
     T = se3.make(so3.mean(chosen[:, :3, :3]), np.median(chosen[:, :3, 3], axis=0))
     return PairVotes(pair, n_frames, int(votes[best]), rival, T)
 
@@ -195,19 +200,20 @@ def _choose(
     params: AssociationParams,
 ) -> tuple[list[PlacedView], dict[str, str]]:
     """Choices of one frame that agree with the poses of the cameras, and the views that do not fit."""
-    best: list[tuple[str, int]] = []
-    for anchor in sorted(views):
-        T_world_board = T_world_color[anchor] @ views[anchor].T_color_face
-        fits = []
-        for camera in sorted(views):
-            # compare camera poses, not board poses: that is what the tolerance is stated for
-            T = np.stack([T_world_board @ G @ se3.inverse(views[camera].T_color_face) for _, _, G in motions])
-            relative = se3.inverse(T_world_color[anchor]) @ T
-            distance = _agree(se3.inverse(T_world_color[anchor]) @ T_world_color[camera], relative, params)[1]
-            if camera == anchor or distance.min() < 2:  # the chain's own error comes on top of one view's
-                fits.append((camera, int(distance.argmin()) if camera != anchor else 0))
-        if len(fits) > len(best):
-            best = fits
+    cameras = sorted(views)
+    T_color_face = np.stack([views[camera].T_color_face for camera in cameras])
+    W = np.stack([T_world_color[camera] for camera in cameras])
+    G = np.stack([motion for _, _, motion in motions])
+    # by anchor, other camera and motion; compare camera poses, not board poses: that is what the tolerance is stated for
+    anchors = se3.inverse(W)[:, None] @ W[None]
+    relative = (T_color_face[:, None] @ G)[:, None] @ se3.inverse(T_color_face)[:, None]
+    distance = _distance(anchors[:, :, None], relative, params)
+    choices = distance.argmin(axis=2)
+    fits = distance.min(axis=2) < 2  # the chain's own error comes on top of one view's
+    own = np.arange(len(cameras))
+    fits[own, own], choices[own, own] = True, 0
+    anchor = int(np.argmax(fits.sum(axis=1)))
+    best = [(camera, int(choices[anchor, k])) for k, camera in enumerate(cameras) if fits[anchor, k]]
     placed = []
     for camera, choice in best:
         back, turned, G = motions[choice]
