@@ -143,8 +143,9 @@ def against_views(rig: Rig, placed: Sequence[PlacedView], board: Board) -> Evalu
     found: dict[tuple[str, str], list[tuple[FloatArray, FloatArray, FloatArray]]] = {}
     for frame in sorted(by_frame):
         views = sorted(by_frame[frame], key=lambda view: view.view.camera)
+        on_front = {view.view.camera: _on_front(rig, view, board) for view in views}
         for a, b in combinations(views, 2):
-            row = _compare(rig, a, b, board)
+            row = _compare(rig, a, b, board, on_front)
             found.setdefault((a.view.camera, b.view.camera), []).append(row)
     if not found:
         raise CalibrationError(
@@ -219,19 +220,20 @@ def _frustum(truth: Rig, name: str) -> FloatArray:
     return se3.transform(own.T_world_color, np.concatenate([rays * NEAR_M, rays * FAR_M]))
 
 
-def _compare(rig: Rig, a: PlacedView, b: PlacedView, board: Board) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _on_front(rig: Rig, placed: PlacedView, board: Board) -> FloatArray:
+    """Where a view puts its corners (n, 3), metres, in the world, carried through the board to its front."""
+    p = uncertainty.place(rig, placed.view.camera, placed.view.corners_px, placed.view.depth_m)
+    on_board = placed.points_m(board)
+    to_front = on_board * [0, 0, -1] @ placed.T_color_board[:3, :3].T
+    return p + to_front @ rig.cameras[placed.view.camera].T_world_color[:3, :3].T
+
+
+def _compare(
+    rig: Rig, a: PlacedView, b: PlacedView, board: Board, on_front: Mapping[str, FloatArray]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Distances, depths and transfer errors of the corners that both saw (of the same physical corner)."""
-    number_a, number_b = a.front_corner(board), b.front_corner(board)
-    _, ia, ib = np.intersect1d(number_a, number_b, return_indices=True)
-    places = []
-    for placed, index in ((a, ia), (b, ib)):
-        p = uncertainty.place(rig, placed.view.camera, placed.view.corners_px[index], placed.view.depth_m[index])
-        on_board = placed.points_m(board)[index]
-        to_front = se3.transform(placed.T_color_board, on_board * [1, 1, 0]) - se3.transform(
-            placed.T_color_board, on_board
-        )
-        places.append(p + to_front @ rig.cameras[placed.view.camera].T_world_color[:3, :3].T)
-    distance = np.linalg.norm(places[0] - places[1], axis=1)
+    _, ia, ib = np.intersect1d(a.front_corner(board), b.front_corner(board), return_indices=True)
+    distance = np.linalg.norm(on_front[a.view.camera][ia] - on_front[b.view.camera][ib], axis=1)
     depth = (a.view.depth_m[ia] + b.view.depth_m[ib]) / 2
     finite = np.isfinite(distance)
     transfer = np.concatenate([_transfer(rig, a, b, board), _transfer(rig, b, a, board)])
