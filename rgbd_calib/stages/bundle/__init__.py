@@ -3,10 +3,10 @@
 The pixels alone leave the focal lengths a little free, and with them the distances: that error dominates a real rig.
 Measured depth pins them. :mod:`.model` has the unknowns and residuals, :mod:`.start` where they begin and what is known
 before, :mod:`.solve` the minimiser and the covariance, :mod:`.variance` the weights, :mod:`.gross` what is dropped,
-:mod:`.observability` what the recording cannot tell, :mod:`.estimate` the rounds of all this.
+:mod:`.observability` what the recording cannot tell, :mod:`.common_errors` what all views share, :mod:`.estimate` the rounds of all this.
 """
 
-from rgbd_calib.stages.bundle.estimate import bundle
+from rgbd_calib.stages.bundle.estimate import bundle, free_structure
 from rgbd_calib.stages.bundle.params import BundleParams, CameraPrior, Round
 from rgbd_calib.stages.bundle.result import BundleResult, board_poses, camera_statistics, pose_covariance
 
@@ -18,5 +18,6 @@ __all__ = [
     "board_poses",
     "bundle",
     "camera_statistics",
+    "free_structure",
     "pose_covariance",
 ]

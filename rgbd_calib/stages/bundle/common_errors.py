@@ -59,7 +59,8 @@ def common_errors(
     cells = _cells(obs, sizes_px)
     K, F, P = len(sizes_px) * N_CELLS, len(state.T_parent_board), state.n_global
     n, total, in_pose = np.zeros(K), np.zeros(K), np.zeros(K)
-    by_global, by_board = np.zeros((K, P)), np.zeros((F, K, 6))
+    D = state.n_structure
+    by_global, by_structure = np.zeros((K, P)), np.zeros((F, K, D))
     ratios = weights.ratio_pixel, weights.ratio_depth
     for part in solve.blocks(state, obs, board, weights):
         cell = cells[part.views]
@@ -68,8 +69,8 @@ def common_errors(
         k, J = cell[row, corner, axis], part.J[row, corner, axis]
         n += np.bincount(k, minlength=K)
         total += np.bincount(k, part.r[row, corner, axis], minlength=K)
-        np.add.at(by_global, (k[:, None], part.columns[row]), J[:, :-6])
-        np.add.at(by_board, (part.frame[row], k), J[:, -6:])
+        np.add.at(by_global, (k[:, None], part.columns[row]), J[:, :-D])
+        np.add.at(by_structure, (part.frame[row], k), J[:, -D:])
         for rows, Q, ratio in ((axis < 2, weights.Q_pixel, ratios[0]), (axis == 2, weights.Q_depth, ratios[1])):
             place = (corner * 2 + axis if Q is weights.Q_pixel else corner)[rows]
             view, where = row[rows] + part.views.start, k[rows]
@@ -80,9 +81,9 @@ def common_errors(
     of_depth = np.arange(K) % N_CELLS >= N_CELLS - RANGE_CELLS
     system = solve.build(state, obs, board, weights, prior)
     V_inv = np.linalg.inv(system.V)
-    reduced = by_global - np.einsum("fpi,fki->kp", system.W @ V_inv, by_board, optimize=True)
-    moved = by_global @ cov.cameras + np.einsum("fpi,fki->kp", cov.cross, by_board, optimize=True)  # A^-1 s_k
-    absorbed = moved @ reduced.T + solve.product(by_board @ V_inv, by_board)
+    reduced = by_global - np.einsum("fpi,fki->kp", system.W @ V_inv, by_structure, optimize=True)
+    moved = by_global @ cov.cameras + np.einsum("fpi,fki->kp", cov.cross, by_structure, optimize=True)  # A^-1 s_k
+    absorbed = moved @ reduced.T + solve.product(by_structure @ V_inv, by_structure)
     tau = []
     covariance = np.zeros((P, P))
     for mine in (~of_depth, of_depth):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -11,9 +12,10 @@ from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.bundle import gross, model, observability, solve, variance
 from rgbd_calib.stages.bundle.common_errors import common_errors
-from rgbd_calib.stages.bundle.model import Observations
+from rgbd_calib.stages.bundle.model import Observations, State
 from rgbd_calib.stages.bundle.params import N_WEAK_BIAS, BundleParams, CameraPrior, Round
 from rgbd_calib.stages.bundle.result import BundleResult
+from rgbd_calib.stages.bundle.solve import Prior, Weights
 from rgbd_calib.stages.bundle.start import depth_ranges, prior_of, start
 from rgbd_calib.types import Board, PlacedView
 
@@ -56,17 +58,7 @@ def bundle(
         new = variance.update(state, obs, board, weights, prior, params.huber_sigmas)
         moved = variance.change(weights, new)
         weights = new
-        history.append(
-            Round(
-                solution.cost,
-                tuple(weights.sigma_2d_px.tolist()),
-                tuple(weights.k_depth.tolist()),
-                weights.cell_exponent,
-                weights.ratio_pixel,
-                weights.ratio_depth,
-                len(dropped),
-            )
-        )
+        history.append(_round(solution.cost, weights, len(dropped)))
         if moved < 0.1:  # the scales are known well enough to call something an outlier
             found = gross.find(state, obs, board, weights, params.max_view_ratio, params.max_depth_sigmas)
             reasons = {v: why for v, why in found.pixel_views.items()}
@@ -90,9 +82,85 @@ def bundle(
                 continue
             settled = True
             break
-    # what the recording does not determine is held at its prior; the covariance still counts its uncertainty
+    end = _conclude(state, obs, board, weights, prior, priors, params)
+    return BundleResult(
+        cameras=cameras,
+        priors=dict(priors),
+        prior=prior,
+        bias_range_m=depth_range,
+        has_bias=tuple(bool(np.any(all_obs.has_depth[all_obs.camera == i])) for i in range(len(cameras))),
+        views=tuple(views),
+        frames=frames,
+        obs=obs,
+        weights=weights,
+        dropped=dropped,
+        dropped_depth_corners=dropped_corners,
+        history=tuple(history),
+        iterations=iterations + end.pop("iterations"),
+        converged=settled,
+        message=_message(settled, params),
+        **end,
+    )
+
+
+def free_structure(result: BundleResult, board: Board, params: BundleParams | None = None) -> BundleResult:
+    """The bundle again, with the corners of shared frames as free points instead of a rigid board (the paper, eq. 4.5).
+
+    For boards whose print or flatness is not to be trusted. `result`, from :func:`bundle`, is the start, and has found the
+    gross errors. The scale then comes from the depth, and from the views of single cameras, which keep the board.
+
+    Raises
+    ------
+    CalibrationError
+        No two cameras have depth on common corners, or the equations are singular.
+    """
+    params = params or BundleParams()
+    state, obs = model.free(result.state, result.obs, board)
+    if not np.any(obs.has_depth[obs.shared]):
+        raise CalibrationError(
+            "structure free: no depth on the corners that cameras share, which alone gives free points their scale. "
+            "Record depth, or take structure board"
+        )
+    weights, history, iterations, settled = result.weights, list(result.history), result.iterations, False
+    for _ in range(params.max_rounds):
+        solution = solve.minimize(
+            state, obs, board, weights, result.prior, params.max_iterations, params.round_tolerance
+        )
+        state, iterations = solution.state, iterations + solution.iterations
+        new = variance.update(state, obs, board, weights, result.prior, params.huber_sigmas)
+        settled = variance.change(weights, new) < params.weight_tolerance
+        weights = new
+        history.append(_round(solution.cost, weights, len(result.dropped)))
+        if settled:
+            break
+    end = _conclude(state, obs, board, weights, result.prior, result.priors, params)
+    return replace(
+        result,
+        obs=obs,
+        weights=weights,
+        history=tuple(history),
+        iterations=iterations + end.pop("iterations"),
+        converged=settled,
+        message=_message(settled, params) + "; corners are free points",
+        **end,
+    )
+
+
+def _conclude(
+    state: State,
+    obs: Observations,
+    board: Board,
+    weights: Weights,
+    prior: Prior,
+    priors: Mapping[str, CameraPrior],
+    params: BundleParams,
+) -> dict[str, Any]:
+    """The last minimisation and what it says: fields of the result.
+
+    What the recording does not determine is held at its prior; the covariance still counts its uncertainty.
+    """
     cov = solve.covariance(solve.build(state, obs, board, weights, prior), prior.free)
-    seen = observability.examine(cameras, state, cov, prior)
+    seen = observability.examine(tuple(priors), state, cov, prior)
     held = replace(prior, free=prior.free & ~seen.undetermined)
     restart = solve.with_values(state, seen.undetermined, prior)
     final = solve.minimize(restart, obs, board, weights, held, params.max_iterations, params.tolerance)
@@ -100,30 +168,33 @@ def bundle(
     honest = solve.honest_covariance(cov, final.state, obs, board, weights, prior)
     sizes_px = np.array([[own.intrinsics.width, own.intrinsics.height] for own in priors.values()], float)
     common = common_errors(final.state, obs, board, weights, prior, cov, sizes_px)
-    message = "weights and unknowns settled" if settled else f"the weights still moved after {params.max_rounds} rounds"
-    return BundleResult(
-        cameras,
-        dict(priors),
-        final.state,
-        weights,
-        honest + common.covariance,
-        common,
-        prior,
-        depth_range,
-        tuple(bool(np.any(all_obs.has_depth[all_obs.camera == i])) for i in range(len(cameras))),
-        tuple(views),
-        frames,
-        obs,
-        dropped,
-        dropped_corners,
-        tuple(history),
-        final.cost,
-        iterations + final.iterations,
-        settled,
-        message,
-        seen,
-        *model.residuals(final.state, obs, board),
+    pixel, depth = model.residuals(final.state, obs, board)
+    return {
+        "state": final.state,
+        "covariance": honest + common.covariance,
+        "common": common,
+        "cost": final.cost,
+        "iterations": final.iterations,
+        "observability": seen,
+        "residual_pixel": pixel,
+        "residual_depth": depth,
+    }
+
+
+def _round(cost: float, weights: Weights, dropped_views: int) -> Round:
+    return Round(
+        cost,
+        tuple(weights.sigma_2d_px.tolist()),
+        tuple(weights.k_depth.tolist()),
+        weights.cell_exponent,
+        weights.ratio_pixel,
+        weights.ratio_depth,
+        dropped_views,
     )
+
+
+def _message(settled: bool, params: BundleParams) -> str:
+    return "weights and unknowns settled" if settled else f"the weights still moved after {params.max_rounds} rounds"
 
 
 def _check_left(

@@ -15,6 +15,9 @@ Unknowns: for each camera 6 of its pose (left perturbation in the world; the ref
 coefficients of its depth bias; for each frame 6 of the board's pose; 3 of the board's bow. A frame that only one camera
 sees is posed in that camera, so that it does not tie its intrinsics to its pose.
 
+The structure may be freed (:func:`free`): then each corner of a frame that several cameras see is a point of its own (the
+paper's eq. 4.5), in place of the board's pose; views of one camera alone keep the board, which alone makes them say something.
+
 Derivatives: T_world_color <- Exp(xi) T_world_color moves p by R_color_world (p_w x phi - rho); T_world_board <- Exp(xi)
 T_world_board by the opposite.
 """
@@ -48,6 +51,8 @@ class Observations:
     """(V,) bool: the frame is seen by several cameras, and its board is posed in the world."""
     points_m: FloatArray
     """(V, N, 3), in the board's frame."""
+    corner: IntArray
+    """(V, N), number of the front's corner at each, or before it."""
     pixels_px: FloatArray
     """(V, N, 2)."""
     depth_m: FloatArray
@@ -84,6 +89,10 @@ class State:
     """(F, 4, 4); the parent is the world, or the camera of a frame that only one sees."""
     bow_m: FloatArray
     """(3,), see :func:`bow_basis`."""
+    freed: IntArray
+    """(F,) bool: the frame's corners are points of their own; its board's pose stands still and tells the normal."""
+    corners_m: FloatArray
+    """(F, M, 3), the front's corners in the world, of freed frames; M = 0 where none is."""
 
     @property
     def n_camera(self) -> int:
@@ -95,26 +104,36 @@ class State:
         """Parameters of all cameras and the bow."""
         return len(self.intrinsics) * self.n_camera + N_BOW
 
-    def moved(self, step_global: FloatArray, step_boards: FloatArray) -> State:
-        """The state after a step (n_global,) and (F, 6)."""
+    @property
+    def n_structure(self) -> int:
+        """Parameters of one frame: of the board's pose, of which a freed frame uses none, or of its corners."""
+        return max(6, 3 * self.corners_m.shape[1])
+
+    def moved(self, step_global: FloatArray, step_structure: FloatArray) -> State:
+        """The state after a step (n_global,) and (F, n_structure)."""
+        F, M, _ = self.corners_m.shape
         per_camera = step_global[:-N_BOW].reshape(len(self.intrinsics), self.n_camera)
         return State(
             se3.retract(self.T_world_color, per_camera[:, POSE]),
             self.intrinsics + per_camera[:, INTRINSICS],
             self.bias + per_camera[:, INTRINSICS.stop :],
-            se3.retract(self.T_parent_board, step_boards),
+            se3.retract(self.T_parent_board, np.where(self.freed[:, None], 0.0, step_structure[:, :6])),
             self.bow_m + step_global[-N_BOW:],
+            self.freed,
+            self.corners_m + step_structure[:, : 3 * M].reshape(F, M, 3) * self.freed[:, None, None],
         )
 
 
 @dataclass(frozen=True)
 class Linearized:
-    """Unweighted residuals and derivatives; G = 6 + 9 + B + 3 + 6: camera, bow, board."""
+    """Unweighted residuals and derivatives; G = 6 + 9 + B + 3 + D: camera, bow, structure (the board's pose, or corners)."""
 
     residual: FloatArray
     """(V, N, 3): u and v in px, and depth in metres over z^2, r_depth times k; zero where there is no observation."""
     J: FloatArray
     """(V, N, 3, G)."""
+    by_pose: FloatArray
+    """(V, N, 3, 6), by a motion of all points of the view."""
 
 
 def observe(
@@ -124,13 +143,14 @@ def observe(
     frames = sorted({placed.view.frame for placed in views})
     n = max(len(placed.view.ids) for placed in views)
     V = len(views)
-    pixels, depth, points = np.zeros((V, n, 2)), np.ones((V, n)), np.tile([0.0, 0.0, 0.0], (V, n, 1))
+    pixels, depth, points, corner = np.zeros((V, n, 2)), np.ones((V, n)), np.zeros((V, n, 3)), np.zeros((V, n), int)
     has_pixel, has_depth = np.zeros((V, n), bool), np.zeros((V, n), bool)
     cells = np.full((V, n), np.nan)
     for i, placed in enumerate(views):
         m = len(placed.view.ids)
         measured = np.isfinite(placed.view.depth_m)
         pixels[i, :m], points[i, :m] = placed.view.corners_px, placed.points_m(board)
+        corner[i, :m] = placed.front_corner(board)
         has_pixel[i, :m], has_depth[i, :m] = True, measured
         depth[i, :m][measured] = placed.view.depth_m[measured]
         cells[i, :m][measured] = np.maximum(placed.view.depth_pixels[measured], 1)
@@ -141,7 +161,7 @@ def observe(
     powers = np.asarray(polynomial.polyvander(np.clip(depth, low, high), n_bias - 1), np.float64)
     cell_ratio = _over_median(cells, camera_of)
     observations = Observations(
-        camera_of, frame_of, shared, points, pixels, depth, cell_ratio, powers, has_pixel, has_depth
+        camera_of, frame_of, shared, points, corner, pixels, depth, cell_ratio, powers, has_pixel, has_depth
     )
     return observations, tuple(frames)
 
@@ -168,7 +188,12 @@ def points_in_color(state: State, obs: Observations, board: Board) -> tuple[Floa
     points = obs.points_m.copy()
     points[..., 2] += bow_basis(obs.points_m, board) @ state.bow_m
     T = state.T_parent_board[obs.frame]
+    freed = state.freed[obs.frame]
+    if freed.any():
+        points[freed] = obs.points_m[freed] * [0, 0, 1]  # from the front's corner to the one behind it
     p_parent = points @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
+    if freed.any():
+        p_parent[freed] += state.corners_m[obs.frame[freed, None], obs.corner[freed]] - T[freed, None, :3, 3]
     T_color_parent = _color_parent(state, obs)
     p_color = p_parent @ T_color_parent[:, :3, :3].transpose(0, 2, 1) + T_color_parent[:, None, :3, 3]
     return p_parent, p_color
@@ -197,22 +222,40 @@ def linearize(state: State, obs: Observations, board: Board) -> Linearized:
     by_point[:, :, :2] = (d_point.reshape(V, 2 * N, 3) @ R_color_parent).reshape(V, N, 2, 3)
     by_point[:, :, 2] = R_color_parent[:, None, 2]
 
-    J = np.zeros((V, N, 3, state.n_camera + N_BOW + 6))
-    by_pose, by_bow = J[..., -6:], J[..., -6 - N_BOW : -6]
-    by_pose[..., :3] = np.cross(p_parent[:, :, None], by_point)
-    by_pose[..., 3:] = by_point
+    by_pose = np.concatenate([np.cross(p_parent[:, :, None], by_point), by_point], axis=-1)
+    first = state.n_camera + N_BOW
+    J = np.zeros((V, N, 3, first + state.n_structure))
     J[..., POSE] = np.where(obs.shared[:, None, None, None], -by_pose, 0.0)
     J[:, :, :2, INTRINSICS] = d_intrinsics.reshape(V, N, 2, N_INTRINSICS)
     J[:, :, 2, INTRINSICS.stop : state.n_camera] = -obs.powers
-    normal_parent = state.T_parent_board[obs.frame][:, :3, 2]
-    by_bow[:] = (
-        np.einsum("vnij,vj->vni", by_point, normal_parent)[..., None] * bow_basis(obs.points_m, board)[:, :, None]
-    )
-    J[:, :, 2] /= (obs.depth_m**2)[..., None]
-    J[:, :, :2] *= obs.has_pixel[:, :, None, None]
-    J[:, :, 2] *= obs.has_depth[..., None]
+    freed = state.freed[obs.frame]
+    normal_parent = np.where(freed[:, None], 0.0, state.T_parent_board[obs.frame][:, :3, 2])
+    along_normal = np.einsum("vnij,vj->vni", by_point, normal_parent)
+    J[..., state.n_camera : first] = along_normal[..., None] * bow_basis(obs.points_m, board)[:, :, None]
+    J[..., first : first + 6] = np.where(freed[:, None, None, None], 0.0, by_pose)
+    view, n = np.nonzero(freed[:, None] & obs.has_pixel)
+    own = first + 3 * obs.corner[view, n, None] + np.arange(3)
+    J[view[:, None], n[:, None], :, own] = by_point[view, n].transpose(0, 2, 1)
+    for derivative in (J, by_pose):
+        derivative[:, :, 2] /= (obs.depth_m**2)[..., None]
+        derivative[:, :, :2] *= obs.has_pixel[:, :, None, None]
+        derivative[:, :, 2] *= obs.has_depth[..., None]
     residual = np.concatenate([_pixel_residual(state, obs, p), _depth_residual(state, obs, p)[..., None]], axis=-1)
-    return Linearized(residual, J)
+    return Linearized(residual, J, by_pose)
+
+
+def free(state: State, obs: Observations, board: Board) -> tuple[State, Observations]:
+    """The corners of frames that several cameras see as points of their own, and what can pose them.
+
+    Corners that only one camera sees say nothing any more, and are left out.
+    """
+    freed = np.isin(np.arange(len(state.T_parent_board)), obs.frame[obs.shared])
+    front = board.corners_m() + np.array([0.0, 0.0, 1.0]) * (bow_basis(board.corners_m(), board) @ state.bow_m)[:, None]
+    corners_m = se3.transform(state.T_parent_board[:, None], front)
+    number = obs.frame[:, None] * board.n_corners + obs.corner
+    seen = np.bincount(number[obs.has_pixel], minlength=len(freed) * board.n_corners)[number]
+    told = ~obs.shared[:, None] | (seen >= 2)
+    return replace(state, freed=freed, corners_m=corners_m), obs.keep(obs.has_pixel & told, obs.has_depth & told)
 
 
 def _color_parent(state: State, obs: Observations) -> FloatArray:

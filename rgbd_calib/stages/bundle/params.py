@@ -21,6 +21,8 @@ class BundleParams:
     """First guess; estimated from the residuals."""
     k_depth_per_m: float = 0.002
     """First guess of k in sigma_z = k z^2, for the mean over a corner's cell; estimated."""
+    structure: Literal["board", "free"] = "board"
+    """board: rigid, as printed, with a bow. free: the corners that cameras share are points of their own."""
     free_intrinsics: bool = True
     free_k3: bool = False
     free_bow: bool = True

@@ -1,11 +1,11 @@
-"""Levenberg-Marquardt on the bundle, the boards' poses eliminated, and the covariance from the same equations.
+"""Levenberg-Marquardt on the bundle, the structure eliminated, and the covariance from the same equations.
 
-The normal equations, cameras and bow g, boards b (eq. A9-A11 of the paper, with weights and priors):
+The normal equations, cameras and bow g, structure b (eq. A9-A11 of the paper, with weights and priors):
 
     [ U  W ] [step_g]     [ g_g ]          S = U - W V^-1 W'      S step_g = -(g_g - W V^-1 g_b)
     [ W' V ] [step_b] = - [ g_b ]          step_b = -V^-1 (g_b + W' step_g)
 
-V is block diagonal, 6x6 for each frame. Cov_gg = S^-1, Cov_gb = -S^-1 W V^-1, Cov_bb = V^-1 + V^-1 W' S^-1 W V^-1.
+V is block diagonal, one block for each frame: D x D, 6 of a board's pose, or 3 of each of its corners. Cov_gg = S^-1, Cov_gb = -S^-1 W V^-1, Cov_bb = V^-1 + V^-1 W' S^-1 W V^-1.
 """
 
 from __future__ import annotations
@@ -94,13 +94,13 @@ class System:
     U: FloatArray
     """(P, P)."""
     W: FloatArray
-    """(F, P, 6)."""
+    """(F, P, D)."""
     V: FloatArray
-    """(F, 6, 6)."""
+    """(F, D, D)."""
     gradient: FloatArray
     """(P,)."""
-    gradient_boards: FloatArray
-    """(F, 6)."""
+    gradient_structure: FloatArray
+    """(F, D)."""
 
 
 def values(state: State) -> FloatArray:
@@ -112,7 +112,7 @@ def values(state: State) -> FloatArray:
 def with_values(state: State, which: BoolArray, prior: Prior) -> State:
     """The state with these global parameters (P,) at their prior's mean."""
     step = np.where(which, prior.mean - values(state), 0.0)
-    return state.moved(step, np.zeros((len(state.T_parent_board), 6)))
+    return state.moved(step, np.zeros((len(state.T_parent_board), state.n_structure)))
 
 
 def cost(state: State, obs: Observations, board: Board, weights: Weights, prior: Prior) -> float:
@@ -169,10 +169,10 @@ def minimize(
 
 def build(state: State, obs: Observations, board: Board, weights: Weights, prior: Prior) -> System:
     """The normal equations at a state."""
-    P, F = state.n_global, len(state.T_parent_board)
-    U, W, V = prior.information.copy(), np.zeros((F, P, 6)), np.zeros((F, 6, 6))
+    P, F, D = state.n_global, len(state.T_parent_board), state.n_structure
+    U, W, V = prior.information.copy(), np.zeros((F, P, D)), np.zeros((F, D, D))
     gradient = prior.information @ (values(state) - prior.mean)
-    gradient_boards = np.zeros((F, 6))
+    gradient_structure = np.zeros((F, D))
     for part in blocks(state, obs, board, weights):
         n, _, _, G = part.J.shape
         J = part.J.reshape(n, -1, G)
@@ -180,25 +180,25 @@ def build(state: State, obs: Observations, board: Board, weights: Weights, prior
         g = (part.r.reshape(n, 1, -1) @ J)[:, 0]
         for c in np.unique(part.camera):
             at, mine = part.columns[part.camera == c][0], part.camera == c
-            U[np.ix_(at, at)] += H[mine, :-6, :-6].sum(axis=0)
-            gradient[at] += g[mine, :-6].sum(axis=0)
-        np.add.at(W, (part.frame[:, None], part.columns), H[:, :-6, -6:])
-        np.add.at(V, part.frame, H[:, -6:, -6:])
-        np.add.at(gradient_boards, part.frame, g[:, -6:])
-    unseen = ~np.isin(np.arange(F), obs.frame[obs.has_pixel.any(axis=1)])
-    V[unseen] += np.eye(6)  # boards whose views were all dropped stay where they are
-    return System(U, W, V, gradient, gradient_boards)
+            U[np.ix_(at, at)] += H[mine, :-D, :-D].sum(axis=0)
+            gradient[at] += g[mine, :-D].sum(axis=0)
+        np.add.at(W, (part.frame[:, None], part.columns), H[:, :-D, -D:])
+        np.add.at(V, part.frame, H[:, -D:, -D:])
+        np.add.at(gradient_structure, part.frame, g[:, -D:])
+    frame, k = np.nonzero(np.einsum("fii->fi", V) == 0)
+    V[frame, k, k] = 1.0  # what no view sees, or no view any more, stays where it is
+    return System(U, W, V, gradient, gradient_structure)
 
 
 @dataclass(frozen=True)
 class Block:
-    """The weighted equations of some views; n views, N corners, G = 6 + 9 + B + 3 + 6 local columns."""
+    """The weighted equations of some views; n views, N corners, G = 6 + 9 + B + 3 + D local columns."""
 
     views: slice
     camera: IntArray
     frame: IntArray
     columns: IntArray
-    """(n, G - 6), global parameter of each local column but the board's."""
+    """(n, G - D), global parameter of each local column but the structure's."""
     J: FloatArray
     """(n, N, 3, G)."""
     r: FloatArray
@@ -240,9 +240,9 @@ class Covariance:
     cameras: FloatArray
     """(P, P), global parameters."""
     cross: FloatArray
-    """(F, P, 6)."""
-    boards: FloatArray
-    """(F, 6, 6)."""
+    """(F, P, D)."""
+    structure: FloatArray
+    """(F, D, D)."""
 
 
 def covariance(system: System, free: BoolArray) -> Covariance:
@@ -268,11 +268,11 @@ def covariance(system: System, free: BoolArray) -> Covariance:
     L_inv = solve_triangular(L, np.diag(scale), lower=True)
     S_inv = L_inv.T @ L_inv
     cross_free = -S_inv @ WV
-    boards = V_inv - WV.transpose(0, 2, 1) @ cross_free
-    full, cross = np.zeros((P, P)), np.zeros((len(V_inv), P, 6))
+    structure = V_inv - WV.transpose(0, 2, 1) @ cross_free
+    full, cross = np.zeros((P, P)), np.zeros((len(V_inv), P, V_inv.shape[1]))
     full[np.ix_(free, free)] = S_inv
     cross[:, free] = cross_free
-    return Covariance(full, cross, boards)
+    return Covariance(full, cross, structure)
 
 
 def honest_covariance(
@@ -298,7 +298,7 @@ def view_traces(cov: Covariance, state: State, obs: Observations, board: Board, 
     for part in blocks(state, obs, board, weights):
         of_cameras = cov.cameras[part.columns[:, :, None], part.columns[:, None]]
         cross = cov.cross[part.frame[:, None], part.columns]
-        C = np.block([[of_cameras, cross], [cross.transpose(0, 2, 1), cov.boards[part.frame]]])
+        C = np.block([[of_cameras, cross], [cross.transpose(0, 2, 1), cov.structure[part.frame]]])
         traces.append(np.einsum("pvij,vij->pv", part.information(weights), C))
     return np.concatenate(traces, axis=1)
 
@@ -325,7 +325,7 @@ def depth_sigma(obs: Observations, k_depth: FloatArray, cell_exponent: float) ->
 
 def _step(system: System, free: BoolArray, damping: float) -> tuple[FloatArray, FloatArray] | None:
     """The damped step (eq. A11), or None where the equations are singular."""
-    V = system.V + damping * np.einsum("fii->fi", system.V)[:, :, None] * np.eye(6)
+    V = system.V + damping * np.einsum("fii->fi", system.V)[:, :, None] * np.eye(system.V.shape[1])
     W, g = system.W[:, free], system.gradient[free]
     try:
         V_inv = np.linalg.inv(V)
@@ -338,6 +338,6 @@ def _step(system: System, free: BoolArray, damping: float) -> tuple[FloatArray, 
     except np.linalg.LinAlgError:
         return None
     step = np.zeros(len(free))
-    step[free] = -scale * cho_solve(factor, scale * (g - np.einsum("fpi,fi->p", WV, system.gradient_boards)))
-    boards = -np.einsum("fij,fj->fi", V_inv, system.gradient_boards + np.einsum("fpi,p->fi", W, step[free]))
-    return step, boards
+    step[free] = -scale * cho_solve(factor, scale * (g - np.einsum("fpi,fi->p", WV, system.gradient_structure)))
+    structure = -np.einsum("fij,fj->fi", V_inv, system.gradient_structure + np.einsum("fpi,p->fi", W, step[free]))
+    return step, structure

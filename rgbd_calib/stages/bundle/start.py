@@ -50,6 +50,8 @@ def start(
         bias,
         boards,
         np.zeros(N_BOW),
+        np.zeros(len(frames), bool),
+        np.zeros((len(frames), 0, 3)),
     )
 
 

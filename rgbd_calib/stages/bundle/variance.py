@@ -118,7 +118,7 @@ def pose_parts(state: State, obs: Observations, board: Board, depth_sigma: Float
     """Orthonormal bases of what a change of the board's pose does to a view's pixels (6) and to its depth (3), in sigmas."""
     V = len(obs.camera)
     J2 = [
-        model.linearize(state, obs.only(views), board).J[:, :, :2, -6:]
+        model.linearize(state, obs.only(views), board).by_pose[:, :, :2]
         for views in (slice(v, v + solve.VIEWS_AT_ONCE) for v in range(0, V, solve.VIEWS_AT_ONCE))
     ]
     flat = np.stack([obs.has_depth, *(obs.points_m[..., k] * obs.has_depth for k in (0, 1))], axis=-1)
