@@ -120,5 +120,5 @@ def test_the_log_keeps_all_sessions(tmp_path):
     again = CaptureLog(tmp_path, "capture x --append", "test")
     assert again.identities() == {"C1": "S1", "C2": "1-2"} and again.clock_zero_unix_s == log.clock_zero_unix_s
     (tmp_path / "capture.yaml").write_text("format: other\n")
-    with pytest.raises(ConfigError, match="not a capture log"):
+    with pytest.raises(ConfigError, match="Is it the right file"):
         CaptureLog(tmp_path, "capture x", "test")

@@ -11,13 +11,32 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Literal
 
-from rgbd_calib.errors import ConfigError
+from pydantic import BaseModel, ConfigDict
+
 from rgbd_calib.io.files import dump_yaml, load_yaml, write_text
+from rgbd_calib.io.schemas import Name, Positive, parse
 
 FORMAT = "rgbd-calib/capture"
 VERSION = 1
 MAX_EVENTS = 1000
 Status = Literal["running", "complete", "interrupted", "failed"]
+
+
+class SessionModel(BaseModel):
+    """One session; what is not read again may be anything."""
+
+    model_config = ConfigDict(extra="allow")
+    cameras: dict[Name, dict[str, Any]] | None = None
+
+
+class CaptureModel(BaseModel):
+    """capture.yaml."""
+
+    model_config = ConfigDict(extra="allow")
+    format: Literal["rgbd-calib/capture"]
+    version: Literal[1]
+    clock_zero_unix_s: Positive | None = None
+    sessions: list[SessionModel] | None = None
 
 
 class CaptureLog:
@@ -27,8 +46,8 @@ class CaptureLog:
         self._path = folder / "capture.yaml"
         self._lock = threading.Lock()
         earlier = load_yaml(self._path) if self._path.exists() else {}
-        if earlier and (earlier.get("format"), earlier.get("version")) != (FORMAT, VERSION):
-            raise ConfigError(f"{self._path}: not a capture log of this program. Move it away, or record elsewhere")
+        if earlier:
+            parse(CaptureModel, earlier, self._path)
         self.earlier: list[dict[str, Any]] = list(earlier.get("sessions") or [])
         now = datetime.now(timezone.utc)
         self.clock_zero_unix_s = float(earlier.get("clock_zero_unix_s") or now.timestamp())

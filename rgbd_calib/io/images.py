@@ -14,6 +14,8 @@ from rgbd_calib.io.schemas import MAX_SIDE
 
 MAX_BYTES = 256 << 20
 """MAX_SIDE x MAX_SIDE pixels of 3 bytes, not compressed."""
+_CONVERTED = {"P": "RGBA", "PA": "RGBA", "1": "RGB", "LA": "RGB", "CMYK": "RGB", "YCbCr": "RGB"}
+"""How Pillow's modes other than grey, R G B and R G B A are read; a palette may hold transparency."""
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 
 
@@ -41,8 +43,7 @@ def decode_image(data: bytes, where: str, size: tuple[int, int] | None = None, w
         with _opened(data) as image:
             _check_size(where, image.size, size, who)
             image.load()  # raises where the file ends early, which cv2.imread would not
-            mode = "RGB" if image.mode in ("P", "1", "CMYK", "LA", "PA", "YCbCr") else None
-            array = np.array(image.convert(mode) if mode else image)
+            array = np.array(image if image.mode not in _CONVERTED else image.convert(_CONVERTED[image.mode]))
     except ConfigError:
         raise
     except (
@@ -74,8 +75,19 @@ def _opened(data: bytes):  # type: ignore[no-untyped-def]
     if data.startswith(_PNG):
         return PngImageFile(io.BytesIO(data))
     if data.startswith(_JPEG):
-        return JpegImageFile(io.BytesIO(data))
+        return JpegImageFile(io.BytesIO(_without_exif(data)))
     raise ValueError(f"{len(data)} bytes that begin neither as PNG nor as JPEG")
+
+
+def _without_exif(data: bytes) -> bytes:
+    """A JPEG without its APP1 segments: Pillow reads them on opening, and warns of what is wrong in them."""
+    out, at = [data[:2]], 2
+    while at + 4 <= len(data) and data[at] == 0xFF and 0xC0 <= data[at + 1] <= 0xFE and data[at + 1] != 0xDA:
+        end = at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+        if data[at + 1] != 0xE1:
+            out.append(data[at:end])
+        at = end
+    return b"".join([*out, data[at:]])
 
 
 def _check_size(where: str, seen: tuple[int, int], size: tuple[int, int] | None, who: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from difflib import get_close_matches
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -70,13 +71,18 @@ def load_config(path: Path | None, **over: Any) -> Config:
                 into = into.setdefault(section, {})
             into[last] = value
     try:
-        config = TypeAdapter(Config).validate_python(data)
+        config = _adapter().validate_python(data)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         raise ConfigError(f"{where}: {key}: {short(first['input'])} seen; {first['msg']}") from None
     _check_numbers(asdict(config), where, "")
     return config
+
+
+@cache
+def _adapter() -> TypeAdapter[Config]:
+    return TypeAdapter(Config)
 
 
 def as_plain(config: Config) -> dict[str, Any]:

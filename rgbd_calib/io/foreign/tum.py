@@ -6,6 +6,7 @@ https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
@@ -77,7 +78,7 @@ def _read_list(path: Path) -> list[tuple[int, str]]:
 
 
 def _read_image(path: Path, kind: Kind) -> np.ndarray:
-    if not path.is_file():
+    if not os.path.isfile(path):  # false for names that no disk takes
         raise ConfigError(f"{path}: no such image; {kind}.txt lists it. Copy the recording again")
     image = read_image(path)
     if kind == "color":

@@ -1,0 +1,337 @@
+"""What `fuzz.py` and the tests feed to each reader: a valid file, how it is read, and what counts as a fault."""
+
+from __future__ import annotations
+
+import functools
+import io
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+import zlib
+from collections.abc import Callable
+from contextlib import redirect_stderr
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from rgbd_calib.errors import RgbdCalibError
+from rgbd_calib.io import correspondences, residuals, rig
+from rgbd_calib.io.capture_log import CaptureLog
+from rgbd_calib.io.files import dump_yaml, load_yaml
+from rgbd_calib.io.foreign.ros import RosBag
+from rgbd_calib.io.foreign.tum import TumFolder
+from rgbd_calib.io.images import decode_image
+from rgbd_calib.io.recording import open_recording
+from rgbd_calib.pipeline.config import as_plain, load_config
+
+SLOW_S = 10.0
+LARGE_BYTES = 1 << 30
+LENS = {"model": "opencv", "width": 8, "height": 6, "fx": 9.0, "fy": 9.0, "cx": 3.5, "cy": 2.5, "distortion": [0.0] * 5}
+BIAS = {"coefficients": [0.01, -0.01], "min_m": 0.5, "max_m": 3.0, "rms_m": 0.001}
+EYE = np.eye(4).tolist()
+DATASET: dict[str, Any] = {
+    "format": "rgbd-calib/dataset",
+    "version": 1,
+    "depth_scale": 0.001,
+    "depth_registered": True,
+    "cameras": {"C1": {"width": 8, "height": 6, "serial": "14", "intrinsics": LENS}, "C2": {"width": 8, "height": 6}},
+    "board": {"type": "checkerboard", "cols": 9, "rows": 6, "square": 0.06, "two_sided": True, "thickness": 0.006},
+}
+RIG: dict[str, Any] = {
+    "format": "rgbd-calib/rig",
+    "version": 1,
+    "reference": "C1",
+    "cameras": {
+        name: {
+            "intrinsics": LENS,
+            "T_world_color": EYE,
+            "rotation_wxyz": [1.0, 0.0, 0.0, 0.0],
+            "translation_m": [0.0, 0.0, 0.0],
+            "covariance": np.eye(6).tolist(),
+            "depth_bias": BIAS,
+            "sigma_2d_px": 0.2,
+        }
+        for name in ("C1", "C2")
+    },
+    "boards": {"000000": EYE},
+    "quality": {"method": "bundle"},
+    "provenance": {"seed": 0},
+}
+CAPTURE: dict[str, Any] = {
+    "format": "rgbd-calib/capture",
+    "version": 1,
+    "clock_zero_unix_s": 1.7e9,
+    "sessions": [{"started": "2026-01-01", "status": "complete", "cameras": {"C1": {"serial": "14"}}, "events": []}],
+}
+TABLES: dict[str, list[list[str]]] = {
+    "corners.csv": [
+        [*correspondences.CORNERS],
+        ["C1", "0", "0", "1.5", "2.5", "1.1", "25"],
+        ["C1", "0", "1", "3", "4", "", "0"],
+    ],
+    "correspondences.csv": [
+        [*correspondences.CORRESPONDENCES],
+        ["C1", "0", "a", "1.5", "2", "0.1", "0.2", "1.5"],
+        ["C2", "0", "a", "1", "2", "", "", ""],
+    ],
+    "residuals.csv": [
+        [*residuals.COLUMNS],
+        ["C1", "0", "0", "1", "2", "0.1", "0.1", "1.5", "0.001", "both"],
+        ["C1", "0", "1", "1", "2", "", "", "", "", "none"],
+    ],
+    "timestamps.csv": [["frame", "color_us", "depth_us"], ["000000", "0", "12"], ["000001", "33333", ""]],
+    "distances.csv": [["frame", "distance_m"], ["000000", "0.8"], ["000001", "1.2"]],
+}
+
+
+@dataclass(frozen=True)
+class Parser:
+    """One reader of foreign input."""
+
+    name: str
+    read: Callable[[bytes], object]
+    seeds: tuple[bytes, ...]
+    tree: dict[str, Any] | None = None
+    """Of a YAML file, to be mutated by structure."""
+    table: list[list[str]] | None = None
+    """Of a CSV file."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a reader made of an input: accepted, refused, or a fault and its place."""
+
+    status: str
+    what: str = ""
+
+
+def attempt(parser: Parser, data: bytes) -> Outcome:
+    """Read once; a fault is any other exception, a warning, words on stderr, too much time or too much memory."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    start = time.perf_counter()
+    status, what = "accepted", ""
+    said = io.StringIO()
+    with warnings.catch_warnings(record=True) as seen, redirect_stderr(said):
+        warnings.simplefilter("always")
+        signal.setitimer(signal.ITIMER_REAL, 2 * SLOW_S)
+        try:
+            parser.read(data)
+        except RgbdCalibError as error:
+            status = "refused"
+            if len(str(error)) > 2000 or "\n" in str(error):
+                status, what = (
+                    "fault",
+                    f"message of {len(str(error))} characters on {str(error).count(chr(10)) + 1} lines",
+                )
+        except BaseException as error:
+            if isinstance(error, KeyboardInterrupt):
+                raise
+            at = traceback.extract_tb(error.__traceback__)[-1]
+            status, what = (
+                "fault",
+                f"{type(error).__name__}: {str(error)[:100]} at {Path(at.filename).name}:{at.lineno}",
+            )
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+    if status != "fault" and (seen or said.getvalue()):
+        status, what = "fault", f"warning: {seen[0].message if seen else said.getvalue()[:100]}"
+    if time.perf_counter() - start > SLOW_S:
+        status, what = "fault", f"more than {SLOW_S:g} s"
+    if (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) << 10 > LARGE_BYTES:
+        status, what = "fault", "more than 1 GiB"
+    return Outcome(status, what)
+
+
+def _too_slow(number: int, frame: object) -> None:
+    raise TimeoutError
+
+
+def parsers(folder: Path) -> dict[str, Parser]:
+    """All parsers by name; their files lie in `folder`, which should be in memory."""
+    signal.signal(signal.SIGALRM, _too_slow)
+    recording = _recording(folder / "recording")
+    full, others = as_plain(load_config(None)), folder / "others"
+    config = {key: full[key] for key in ("method", "reference", "seed", "detect", "initialization", "refinement")}
+    (folder / "log").mkdir()
+    (folder / "tum").mkdir()
+    others.mkdir()
+    opened = open_recording(recording)
+    image = (folder / "recording/C1/color/000000.png").read_bytes()
+    (folder / "tum" / "a.png").write_bytes(image)
+
+    def from_file(path: Path, read: Callable[[Path], object]) -> Callable[[bytes], object]:
+        def call(data: bytes) -> object:
+            path.write_bytes(data)
+            return read(path)
+
+        return call
+
+    def all_of_recording(path: Path) -> object:
+        opened = open_recording(path.parent)
+        return [opened.color(c, f) for c in opened.cameras for f in opened.color_files[c]], opened.frames
+
+    def all_of_rig(path: Path) -> object:
+        parts = (
+            rig.read_intrinsics_sd,
+            rig.read_depth_bias_samples,
+            rig.read_boards,
+            rig.read_intrinsics,
+            rig.read_depth_bias,
+        )
+        part = zlib.crc32(path.read_bytes()) % (2 * len(parts))  # one of them: each parses the file anew
+        return parts[part](path) if part < len(parts) else rig.read_rig(path)
+
+    def tum(path: Path) -> object:
+        source = TumFolder(path.parent, "C1")
+        return source.stamps(), list(source.pictures())
+
+    yaml_readers: dict[str, tuple[dict[str, Any], Path, Callable[[Path], object]]] = {
+        "dataset.yaml": (DATASET, recording / "dataset.yaml", all_of_recording),
+        "rig.yaml": (RIG, others / "rig.yaml", all_of_rig),
+        "config.yaml": (config, others / "config.yaml", load_config),
+        "capture.yaml": (CAPTURE, folder / "log" / "capture.yaml", lambda p: CaptureLog(p.parent, "", "").identities()),
+    }
+    tables: dict[str, Callable[[Path], object]] = {
+        "corners.csv": correspondences.read_corners,
+        "correspondences.csv": correspondences.read_correspondences,
+        "residuals.csv": residuals.read_residuals,
+        "timestamps.csv": lambda p: opened.timestamps_us("C1"),
+        "distances.csv": lambda p: opened.distances_m("C1"),
+    }
+    made = [
+        Parser(name, from_file(path, read), (dump_yaml(tree).encode(),), tree=tree)
+        for name, (tree, path, read) in yaml_readers.items()
+    ]
+    for name, read in tables.items():
+        path = recording / "C1" / name if name in ("timestamps.csv", "distances.csv") else others / name
+        made.append(Parser(name, from_file(path, read), (csv_bytes(TABLES[name]),), table=TABLES[name]))
+    rgb_txt = b"# a comment\n1305031102.175304 a.png\n1305031102.2 a.png\n"
+    words = [["1305031102.175304", "a.png"], ["1305031102.2", "a.png"]]
+    made.append(Parser("rgb.txt", from_file(folder / "tum" / "rgb.txt", tum), (rgb_txt,), table=words))
+    bytes_of_yaml = tuple(dump_yaml(tree).encode() for tree in (DATASET, CAPTURE)) + (b"a: &a {b: 1}\nc: {<<: *a}\n",)
+    made.append(Parser("YAML bytes", from_file(others / "any.yaml", load_yaml), bytes_of_yaml))
+    made.append(Parser("PNG, JPEG", lambda data: decode_image(data, "image"), image_seeds()))
+    return {parser.name: parser for parser in made} | _bag_parsers(folder)
+
+
+def csv_bytes(table: list[list[str]]) -> bytes:
+    """The table as a file."""
+    return "".join(",".join(row) + "\n" for row in table).encode()
+
+
+def image_seeds() -> tuple[bytes, ...]:
+    """Small images of the kinds that recordings hold, and of others that PNG and JPEG know."""
+    rng = np.random.default_rng(0)
+    color, depth = rng.integers(0, 256, (6, 8, 3), np.uint8), rng.integers(0, 9000, (6, 8), np.uint16)
+    out = [
+        cv2.imencode(".png", i)[1].tobytes() for i in (color, depth, color[..., 0], np.dstack([color, color[..., :1]]))
+    ]
+    out += [cv2.imencode(".jpg", i)[1].tobytes() for i in (color, color[..., 0])]
+    from PIL import Image
+
+    for mode, options in (("P", {"transparency": b"\0\1"}), ("1", {}), ("LA", {}), ("CMYK", {"format": "JPEG"})):
+        stream = io.BytesIO()
+        exif = Image.Exif()
+        exif[0x0112] = 3
+        Image.fromarray(color).convert(mode).save(stream, **{"format": "PNG", "exif": exif, **options})  # type: ignore[arg-type]
+        out.append(stream.getvalue())
+    return tuple(out)
+
+
+def _recording(folder: Path) -> Path:
+    for camera in ("C1", "C2"):
+        (folder / camera / "color").mkdir(parents=True)
+        cv2.imwrite(str(folder / camera / "color" / "000000.png"), np.zeros((6, 8, 3), np.uint8))
+    (folder / "dataset.yaml").write_text(dump_yaml(DATASET))
+    return folder
+
+
+def _bag_parsers(folder: Path) -> dict[str, Parser]:
+    _remember_types()
+    made = {}
+    for kind, suffix in (("ROS 1 bag", "bag"), ("MCAP", "mcap"), ("ROS 2 db3", "db3")):
+        seed, path = _bag(folder / f"bag_{suffix}", suffix), folder / f"fuzzed.{suffix}"
+
+        def read(data: bytes, path: Path = path) -> object:
+            path.write_bytes(data)
+            source = RosBag(path)
+            return source.stamps(), list(source.pictures())
+
+        made[kind] = Parser(kind, read, (seed,))
+    return made
+
+
+def _bag(folder: Path, suffix: str) -> bytes:
+    """A bag with one image and its camera_info."""
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if suffix == "bag" else Stores.ROS2_HUMBLE)
+    types: Any = store.types
+    plugin = StoragePlugin.MCAP if suffix == "mcap" else StoragePlugin.SQLITE3
+    path = folder.with_suffix(".bag") if suffix == "bag" else folder
+    writer: Any = Writer1(path) if suffix == "bag" else Writer2(path, version=9, storage_plugin=plugin)
+    more = {"seq": 0} if suffix == "bag" else {}
+    header = types["std_msgs/msg/Header"](
+        stamp=types["builtin_interfaces/msg/Time"](sec=1, nanosec=2), frame_id="", **more
+    )
+    image = types["sensor_msgs/msg/Image"](header, 2, 3, "rgb8", 0, 9, np.arange(18, dtype=np.uint8))
+    with writer:
+        topic = writer.add_connection("/left/color/image_raw", "sensor_msgs/msg/Image", typestore=store)
+        serialize = store.serialize_ros1 if suffix == "bag" else store.serialize_cdr
+        writer.write(topic, 1_000_000_002, serialize(image, image.__msgtype__))
+    data = path.read_bytes() if suffix == "bag" else next(path.glob(f"*.{suffix}")).read_bytes()
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    return data
+
+
+def _remember_types() -> None:
+    """Compile message definitions that were seen before only once: 50 ms of 52 for each bag."""
+    import rosbags.highlevel.anyreader as reader
+    import rosbags.serde.utils as serde
+    import rosbags.typesys.store as store
+
+    if hasattr(reader.get_types_from_msg, "cache_info"):
+        return
+    reader.get_types_from_msg = functools.lru_cache(1000)(reader.get_types_from_msg)
+    generate = store.generate_python_code
+    codes: dict[str, str] = {}
+    made: dict[str, dict[str, Any]] = {}
+
+    def generate_once(typs: Any) -> str:
+        key = repr(typs)
+        if key not in codes:
+            codes[key] = generate(typs)
+        return codes[key]
+
+    def run_once(code: str, space: dict[str, Any]) -> None:
+        if code not in made:
+            if len(made) > 1000:
+                made.clear()
+            fresh = dict(space)
+            exec(code, fresh)
+            made[code] = fresh
+        space.update(made[code])
+
+    store.generate_python_code = generate_once
+    store.exec = serde.exec = run_once  # type: ignore[attr-defined]
+
+
+def scratch() -> Path:
+    """A new folder in memory, where the system has one."""
+    memory = Path("/dev/shm")
+    return Path(tempfile.mkdtemp(prefix="fuzz-", dir=memory if memory.is_dir() else None))
+
+
+if __name__ == "__main__":
+    sys.exit("This module holds what `fuzz.py` runs")
