@@ -59,6 +59,7 @@ def command(
             "views": len(result.view_rms_px),
             "view_rms_px": result.view_rms_px,
             "dropped": result.dropped,
+            "not_needed": len(result.not_needed),
         }
         for name, result in results.items()
     }
@@ -71,6 +72,8 @@ def command(
             f"{name}: fx {lens.fx:.2f} ± {sd[0]:.2f}, fy {lens.fy:.2f} ± {sd[1]:.2f}, cx {lens.cx:.2f} ± {sd[2]:.2f}, "
             f"cy {lens.cy:.2f} ± {sd[3]:.2f} px; RMS {result.rms_px:.3f} px over {len(result.view_rms_px)} views"
         )
+        if result.not_needed:
+            say(f"{name}: {len(result.not_needed)} views more were not needed: these tell most (intrinsics.max_views)")
         for frame, why in result.dropped.items():
             say(f"{name}: frame {frame} left out: {why}")
     say(f"Wrote {output}")
