@@ -20,7 +20,6 @@ from rgbd_calib.errors import ConfigError
 
 if TYPE_CHECKING:
     from rgbd_calib.io.foreign.source import Source
-    from rgbd_calib.sensors.openni2 import Runtime
     from rgbd_calib.types import Board
 
 
@@ -57,24 +56,16 @@ def command(
     """
     refuse_existing(output, overwrite)
     from rgbd_calib.pipeline.import_recording import import_recording
-    from rgbd_calib.sensors.openni2 import load_runtime
 
     named = _named(files)
     named_board = board()
-    runtime = load_runtime(redist) if any(path.suffix == ".oni" for _, path in named) else None
-    try:
-        sources = [_source(camera, path, topics, runtime) for camera, path in named]
-        remarks = [
-            remark for source in sources for remark in source.remarks if not color_only or "registered" not in remark
-        ]
-        for remark in remarks:
+    sources = [_source(camera, path, topics, redist) for camera, path in named]
+    for remark in (remark for source in sources for remark in source.remarks):
+        if not color_only or "registered" not in remark:
             say(f"Warning: {remark}")
-        result = import_recording(
-            sources, output, board=named_board, synchronous=synchronous, color_only=color_only, overwrite=overwrite
-        )
-    finally:
-        if runtime is not None:
-            runtime.close()
+    result = import_recording(
+        sources, output, board=named_board, synchronous=synchronous, color_only=color_only, overwrite=overwrite
+    )
     for camera in result.color:
         say(f"{camera}: {result.color[camera]} colour and {result.depth[camera]} depth frames")
     for camera, n in result.left_out.items():
@@ -94,13 +85,13 @@ def _named(files: tuple[str, ...]) -> list[tuple[str, Path]]:
     return named
 
 
-def _source(camera: str, path: Path, topics: tuple[str, ...], runtime: Runtime | None) -> Source:
+def _source(camera: str, path: Path, topics: tuple[str, ...], redist: Path | None) -> Source:
     from rgbd_calib.io.foreign.ros import RosBag, is_bag, parse_topics
     from rgbd_calib.io.foreign.tum import TumFolder, is_tum
     from rgbd_calib.sensors.oni_file import OniFile
 
-    if path.suffix == ".oni" and runtime is not None:
-        return OniFile(path, camera, runtime)
+    if path.suffix == ".oni":
+        return OniFile(path, camera, redist)
     if is_bag(path):
         return RosBag(path, parse_topics(topics))
     if is_tum(path):
