@@ -125,7 +125,7 @@ def attempt(parser: Parser, data: bytes) -> Outcome:
         try:
             parser.read(data)
         except RgbdCalibError as error:
-            status = "refused"
+            status, what = "refused", str(error)
             if len(str(error)) > 2000 or "\n" in str(error):
                 status, what = (
                     "fault",

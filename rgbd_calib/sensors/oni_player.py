@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 from collections.abc import Iterator
 from contextlib import closing, suppress
@@ -14,7 +15,10 @@ from typing import Any
 from rgbd_calib.errors import ConfigError, RgbdCalibError
 from rgbd_calib.sensors.frames import SensorFrame
 
-_END_S = 2.0  # silence of the runtime that means the end, where the file holds fewer frames than it says
+END_S = 2.0
+"""Silence of the runtime that means the end, where the file holds fewer frames than it says."""
+START = "spawn"
+"""How the process is made."""
 _SILENCE_S = 60.0  # of the process: it starts, loads the runtime and opens the file within a second or two
 _MEMORY_BYTES = 4 << 30
 
@@ -35,7 +39,7 @@ def play(path: Path, redist: Path | None) -> Iterator[OniHead | SensorFrame]:
     CalibrationError, ConfigError
         There is no runtime, it does not open the file, or the file ends it.
     """
-    context = multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context(START)
     ours, theirs = context.Pipe(duplex=False)
     process = context.Process(target=_play, args=(str(path.absolute()), redist, theirs), daemon=True)
     process.start()
@@ -71,6 +75,7 @@ def _play(path: str, redist: Path | None, out: Connection) -> None:
     """In the other process: send the head, the frames, and None; or the error."""
     from rgbd_calib.sensors.openni2 import load_runtime
 
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # C++ says its last words there
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the first process's to handle
     with suppress(ImportError):  # Windows
         import resource
@@ -83,7 +88,7 @@ def _play(path: str, redist: Path | None, out: Connection) -> None:
             left = sum(device.frame_count().values())
             device.play_as_fast_as_read()
             device.start()
-            while left > 0 and (frame := device.wait_frame(_END_S)) is not None:
+            while left > 0 and (frame := device.wait_frame(END_S)) is not None:
                 left -= 1
                 out.send(frame)
         out.send(None)

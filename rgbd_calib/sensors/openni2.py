@@ -88,7 +88,7 @@ def load_runtime(redist: Path | None = None) -> Runtime:
         from openni import openni2 as binding
     except ImportError:
         raise ConfigError("the package `openni` is not installed; cameras need it. `pip install openni`") from None
-    folder, library = _find_library(redist)
+    folder, library = find_library(redist)
     binding._dll_name = library
     try:
         binding.initialize(str(folder))
@@ -100,7 +100,7 @@ def load_runtime(redist: Path | None = None) -> Runtime:
     return Runtime(binding, folder)
 
 
-def _find_library(redist: Path | None) -> tuple[Path, str]:
+def find_library(redist: Path | None) -> tuple[Path, str]:
     asked = redist or os.environ.get("OPENNI2_REDIST64") or os.environ.get("OPENNI2_REDIST")
     multiarch = sysconfig.get_config_var("MULTIARCH") or "x86_64-linux-gnu"
     usual = [f"/usr/lib/{multiarch}", "/usr/lib", "/usr/local/lib", "/lib64", "/usr/lib64"]
