@@ -15,14 +15,14 @@ import tempfile
 import time
 import zlib
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import click
 import numpy as np
 
 from rgbd_calib.errors import RgbdCalibError
-from rgbd_calib.geometry import se3
+from rgbd_calib.geometry import align, se3
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import write_depth_bias, write_intrinsics
 from rgbd_calib.pipeline.calibrate import Calibration, calibrate
@@ -49,8 +49,11 @@ class Row:
     alignment_mm: float | None
     """Two cameras' places of one point, mean over the volume where the board was."""
     place_mm: float | None
-    """A camera's place of a point against the truth, in the reference camera's frame."""
+    """Cameras' places of points against the truth, the world laid on the true one: what distances are off by."""
     stated_mm: float | None
+    """Expected distance of two cameras' places of one point."""
+    scale_mm: float
+    """One sigma of distances as such, from the board's size by the depth, at the usual distance."""
     level: str
     says: str
     seconds: float
@@ -61,12 +64,11 @@ class Row:
             return "clear error"
         assert self.alignment_mm is not None and self.place_mm is not None
         assert clean.alignment_mm is not None and clean.place_mm is not None
-        stated = STATED_FACTOR * (self.stated_mm or 0.0)
-        good = all(
-            mine <= max(stated, CLEAN_FACTOR * usual, FLOOR_MM)
-            for mine, usual in ((self.alignment_mm, clean.alignment_mm), (self.place_mm, clean.place_mm))
-        )
-        warned = self.level in ("untrusted", "poor")
+        stated = self.stated_mm or 0.0
+        good = self.alignment_mm <= max(STATED_FACTOR * stated, CLEAN_FACTOR * clean.alignment_mm, FLOOR_MM)
+        in_place = np.hypot(stated, self.scale_mm)
+        good &= self.place_mm <= max(STATED_FACTOR * in_place, CLEAN_FACTOR * clean.place_mm, FLOOR_MM)
+        warned = self.level in ("untrusted", "poor") or "Self-check" in self.says.split("Self-checks:")[0]
         return ("right, warned" if warned else "right") if good else "warned" if warned else "SILENT"
 
 
@@ -82,16 +84,19 @@ def try_fault(fault: str, seed: int, cameras: int = 3, frames: int = 24, close: 
             result = calibrate_session(session, Path(folder))
         except RgbdCalibError as error:
             said = str(error).replace(folder, "DIR")
-            return Row(fault, seed, None, None, None, "error", said, time.perf_counter() - start)
+            return Row(fault, seed, None, None, None, 0.0, "error", said, time.perf_counter() - start)
     seconds = time.perf_counter() - start
     quality = result.rig.quality
     verdict = judge(quality, ())
+    rig = with_true_depth(result.rig, session)
+    scale = quality["self_check"].get("scale", {})
     return Row(
         fault,
         seed,
-        1e3 * float(against_truth(result.rig, session.truth, session.boards, session.board).distance_m.mean()),
-        place_error_mm(result.rig, session),
+        1e3 * float(against_truth(rig, session.truth, session.boards, session.board).distance_m.mean()),
+        place_error_mm(rig, session),
         quality.get("expected_alignment", {}).get("mean_mm"),
+        10 * scale.get("sd_percent", 0.0) * scale.get("distance_m", 0.0),
         verdict.level,
         " | ".join([verdict.headline, *verdict.reasons]),
         seconds,
@@ -124,18 +129,31 @@ def calibrate_session(session: Session, folder: Path) -> Calibration:
     )
 
 
+def with_true_depth(rig: Rig, session: Session) -> Rig:
+    """Cameras that had no depth are judged by their pose and lens alone."""
+    blind = {c for c in rig.cameras if not any(np.isfinite(v.depth_m).any() for v in session.views if v.camera == c)}
+    cameras = {
+        c: replace(own, depth_bias=session.truth.cameras[c].depth_bias) if c in blind else own
+        for c, own in rig.cameras.items()
+    }
+    return replace(rig, cameras=cameras)
+
+
 def place_error_mm(rig: Rig, session: Session) -> float:
-    """Mean distance of where each camera puts points of the boards' box from where they are."""
+    """Mean distance of where each camera puts points of the boards' box from where they are.
+
+    The world is laid on the true one: where the reference camera's axis is within it is nobody's concern.
+    """
     truth = session.truth
-    T_world_truth = truth.cameras[truth.reference].T_world_color  # the rig's world is this camera
     corners = np.concatenate([se3.transform(T, session.board.corners_m()) for T in session.boards.values()])
     points = uncertainty.volume(corners, 8)
-    errors = []
+    places, true = [], []
     for name in rig.cameras:
         seen = uncertainty.observe(truth, name, points)
-        put = uncertainty.place(rig, name, seen.pixels_px[seen.seen], seen.raw_m[seen.seen])
-        errors.append(np.linalg.norm(put - se3.transform(se3.inverse(T_world_truth), points[seen.seen]), axis=1))
-    return 1e3 * float(np.concatenate(errors).mean())
+        places.append(uncertainty.place(rig, name, seen.pixels_px[seen.seen], seen.raw_m[seen.seen]))
+        true.append(points[seen.seen])
+    put, meant = np.concatenate(places), np.concatenate(true)
+    return 1e3 * float(np.linalg.norm(se3.transform(align.rigid(meant, put), put) - meant, axis=1).mean())
 
 
 def rows_of(faults: list[str], seeds: int) -> Iterator[tuple[Row, str]]:

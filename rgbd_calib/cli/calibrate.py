@@ -55,6 +55,11 @@ if TYPE_CHECKING:
 @click.option(
     "--report", type=click.Path(path_type=Path), help="Folder for a report, index.html: whether to trust the rig."
 )
+@click.option(
+    "--strict",
+    is_flag=True,
+    help="Exit with 1 where the verdict is: do not trust this. The rig is written all the same.",
+)
 @config_option
 @workers_options
 @overwrite_option
@@ -74,6 +79,7 @@ def command(
     update: Path | None,
     only: str | None,
     report: Path | None,
+    strict: bool,
     config: Path | None,
     workers: Workers,
     overwrite: bool,
@@ -95,6 +101,11 @@ def command(
       floor        the largest plane below the cameras: z up, the origin on it below the reference camera,
                    x where that camera looks, seen from above
 
+    Every result is tested against what its own covariance allows: the residuals over image, range, time and cameras, and the
+    result without parts of the recording. Where they disagree the verdict is "Do not trust this", with the reason, on
+    stderr, in the rig file (quality.self_check) and in the report. The rig is written nevertheless, to be looked at;
+    --strict then exits with 1.
+
     With --update nothing else is calibrated: --only CAMERA poses one camera against the others of the rig, by views that it
     shares with them, with the lens and depth bias that the rig has (or --intrinsics, --depth-bias); a camera that the rig
     lacks is calibrated whole and added. All other entries stay as they are, byte for byte. --world moves the whole rig.
@@ -114,6 +125,8 @@ def command(
     if update is not None:
         from rgbd_calib.cli import updating
 
+        if strict:
+            raise click.UsageError("--strict goes without --update; `rgbd-calib verify` tells whether a rig holds")
         if report is not None:
             raise click.UsageError(
                 "--report goes without --update; afterwards `rgbd-calib report RIG -o DIR` writes it"
@@ -135,6 +148,7 @@ def command(
     from rgbd_calib.pipeline.detection import detections_from
     from rgbd_calib.pipeline.prepare import check_sources
     from rgbd_calib.pipeline.world import in_world
+    from rgbd_calib.report.verdict import judge
 
     opened = open_recording(recording)
     if world in opened.cameras:
@@ -189,6 +203,12 @@ def command(
         from rgbd_calib.pipeline.report import write_report
 
         say(f"Wrote {write_report(report, output.name, result.rig, result.boards, result.residuals, opened)}")
+    verdict = judge(result.rig.quality, ())
+    say(f"Verdict: {verdict.headline}")
+    for own in result.rig.quality["self_check"]["findings"]:
+        say(f"  {own['text']}. {own['advice']}.")
+    if strict and verdict.level == "untrusted":
+        click.get_current_context().exit(1)
 
 
 def describe(quality: dict[str, Any]) -> list[str]:

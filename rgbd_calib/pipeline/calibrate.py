@@ -36,6 +36,7 @@ from rgbd_calib.stages.bundle import (
     pose_covariance,
 )
 from rgbd_calib.stages.correspondence import correspond
+from rgbd_calib.stages.depth_scale import check_depth_scale
 from rgbd_calib.stages.initialization import initialize
 from rgbd_calib.stages.plane_filter import PlaneFilterResult, filter_planes
 from rgbd_calib.stages.refinement import RefinementParams, RefinementResult, refine
@@ -192,6 +193,7 @@ def prepare_views(
         pose_view(view, board, lenses.intrinsics[view.camera], biases.get(view.camera), config.board_pose)
         for view in filtered.views
     ]
+    check_depth_scale(posed, board, biases)
     association = associate(posed, board, reference, cameras, config.association)
     return Views(detections, lenses, biases, bias_origin, samples, filtered, association)
 

@@ -18,8 +18,10 @@ from rgbd_calib.stages.self_check import (
     Equations,
     Finding,
     Noise,
+    Outcome,
     SelfCheck,
     SelfCheckParams,
+    check_clipped,
     check_copies,
     check_dropped,
     check_groups,
@@ -28,7 +30,8 @@ from rgbd_calib.stages.self_check import (
     delete,
     findings_of,
     group_ratios,
-    tests_of,
+    outcomes_of,
+    usual_distance_m,
 )
 from rgbd_calib.types import Board, BoardView, IntArray
 
@@ -44,12 +47,18 @@ def of_calibration(
     params: SelfCheckParams,
 ) -> dict[str, Any]:
     """What the checks say of a calibration, for its quality; `solution` is None where nothing was refined."""
-    if isinstance(solution, BundleResult):
+    if isinstance(solution, BundleResult) and not solution.state.freed.any():
         check = check_bundle(solution, board, views, association, moments, stated_mm, params)
     else:
-        sigmas_px = {} if solution is None else solution.sigmas_2d_px
+        sigmas_px = _sigmas_px(solution)
         check = check_refined(residuals, sigmas_px, views, association, board, moments, params)
     return as_quality(check)
+
+
+def _sigmas_px(solution: BundleResult | RefinementResult | None) -> Mapping[str, float]:
+    if isinstance(solution, BundleResult):
+        return dict(zip(solution.cameras, solution.weights.sigma_2d_px.tolist(), strict=True))
+    return {} if solution is None else solution.sigmas_2d_px
 
 
 def check_bundle(
@@ -70,22 +79,26 @@ def check_bundle(
     stated_mm : the expected error that the result states; what is smaller is no news.
     """
     eq = equations_of(solved, board, moments)
-    tests = tests_of(eq, params)
-    folds, of_folds = _folds(eq, params, len(tests))
-    lost = [*association.dropped, *solved.dropped]
+    tests = outcomes_of(eq, params)
+    errors, explained = findings_of(eq, tests, params, stated_mm)
+    folds = _folds(eq, params)
+    of_folds = _fold_findings(_folds(explained, params), params, len(tests))
+    blind = [key for key, why in solved.dropped.items() if why.startswith("depth only")]
+    lost = [*association.dropped, *(key for key in solved.dropped if key not in blind)]
     ratios = _ratios_of_bundle(solved, eq, params)
     findings = [
-        *_before(views, association, lost, float(np.median(solved.weights.sigma_2d_px)), board, moments, params),
-        *findings_of(tests, params, stated_mm),
-        *check_noise(_noise_of_bundle(solved, eq), params, stated_mm),
+        *_before(views, association, lost, blind, float(np.median(solved.weights.sigma_2d_px)), board, moments, params),
+        *errors,
         *of_folds,
+        *(f for f in check_noise(_noise_of_bundle(solved, eq), params, stated_mm) if not (errors and f.effect_mm)),
         *check_groups(ratios, params),
     ]
     statistics = {
+        "scale": _scale(eq, tests),
         "tests": [
             {
-                "test": t.name,
-                "camera": t.cameras[0] if t.cameras else None,
+                "test": t.hypothesis.name,
+                "camera": t.hypothesis.cameras[0] if t.hypothesis.cameras else None,
                 "chi2": round(t.score.statistic, 2),
                 "freedom": t.score.freedom,
                 "p": float(f"{t.score.p:.2g}"),
@@ -114,7 +127,7 @@ def check_refined(
     ratios = _ratios_of_residuals(residuals, moments, params)
     sigma_px = float(np.median([s for s in sigmas_px.values() if np.isfinite(s)] or [0.1]))
     findings = [
-        *_before(views, association, list(association.dropped), sigma_px, board, moments, params),
+        *_before(views, association, list(association.dropped), [], sigma_px, board, moments, params),
         *check_noise(noise, params, 0.0),
         *check_groups(ratios, params),
     ]
@@ -148,84 +161,102 @@ def _before(
     views: Sequence[BoardView],
     association: AssociationResult,
     lost: Sequence[tuple[str, str]],
+    blind: Sequence[tuple[str, str]],
     sigma_px: float,
     board: Board,
     moments: Sequence[str],
     params: SelfCheckParams,
 ) -> list[Finding]:
     found: dict[str, int] = {}
-    dropped: dict[str, list[str]] = {}
     for view in views:
         found[view.camera] = found.get(view.camera, 0) + 1
-    for camera, frame in lost:
-        if frame in moments:
-            dropped.setdefault(camera, []).append(frame)
+
+    def by_camera(keys: Sequence[tuple[str, str]]) -> dict[str, list[str]]:
+        return {c: [f for camera, f in keys if camera == c and f in moments] for c in sorted({c for c, _ in keys})}
+
     return [
         *check_votes([(p.cameras, p.frames, p.votes) for p in association.pairs], board.two_sided, params),
-        *check_dropped(found, dropped, moments, params),
+        *check_dropped(found, by_camera(lost), moments, params),
+        *check_dropped(found, by_camera(blind), moments, params, "The depth of "),
         *check_copies(views, sigma_px, params),
+        *check_clipped(views, params),
     ]
+
+
+def _scale(eq: Equations, tests: Sequence[Outcome]) -> dict[str, float]:
+    """How long the board's squares are by the depth, and how sure that is: distances as such are known no better."""
+    score = next(t.score for t in tests if t.hypothesis.name == "scale")
+    if not score.freedom:
+        return {}
+    return {
+        "percent": round(100 * float(score.estimate[0]), 4),
+        "sd_percent": round(100 * float(np.sqrt(score.covariance[0, 0])), 4),
+        "distance_m": round(usual_distance_m(eq), 3),
+    }
 
 
 def _ordered(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(findings, key=lambda f: f.level != "distrust"))
 
 
-def _worst(tests: Sequence[Any]) -> list[Any]:
+def _worst(tests: Sequence[Outcome]) -> list[Outcome]:
     """Of tests of one kind and camera, the one that fits best."""
-    best: dict[tuple[str, tuple[str, ...]], Any] = {}
+    best: dict[tuple[str, tuple[str, ...]], Outcome] = {}
     for t in tests:
-        key = t.name, t.cameras
+        key = t.hypothesis.name, t.hypothesis.cameras
         if key not in best or t.gain > best[key].gain:
             best[key] = t
     return list(best.values())
 
 
-def _folds(eq: Equations, params: SelfCheckParams, n_tests: int) -> tuple[list[dict[str, Any]], list[Finding]]:
+def _folds(eq: Equations, params: SelfCheckParams) -> list[dict[str, Any]]:
     """Parts in time held out in turn: the solution without them against what they say."""
     moment = np.full(eq.n_boards, NO_MOMENT)
     moment[eq.frame] = np.where(eq.shared, eq.moment, NO_MOMENT)
     present = np.unique(moment[moment != NO_MOMENT])
     rows: list[dict[str, Any]] = []
-    findings = []
     for part in np.array_split(present, params.folds):
         gone = np.isin(moment, part)
         if len(part) < params.min_side or len(present) - len(part) < params.min_side:
             continue
         held = delete(eq, gone)
-        effect_m = _moved_by(eq, held.step, held.covariance - eq.honest_covariance, gone)
-        first, last = eq.moments[part[0]], eq.moments[part[-1]]
+        moved_m = _moved_by(eq, held.step, held.covariance - eq.honest_covariance, gone)
         rows.append(
             {
-                "frames": f"{first} to {last}",
+                "frames": f"{eq.moments[part[0]]} to {eq.moments[part[-1]]}",
                 "chi2": round(held.statistic, 2),
                 "freedom": held.freedom,
                 "p": float(f"{held.p:.2g}"),
-                "moves_mm": round(1e3 * effect_m, 3),
+                "moves_mm": round(1e3 * moved_m, 3),
             }
         )
-        if held.p < params.significance / (n_tests + params.folds) and 1e3 * effect_m > params.caution_mm:
-            findings.append(
-                Finding(
-                    "held out",
-                    "distrust" if 1e3 * effect_m > params.distrust_mm else "caution",
-                    (),
-                    f"Without the frames {first} to {last} the result changes by {1e3 * effect_m:.1f} mm more than its "
-                    "covariance allows: these frames and the others are not of one rig",
-                    "Calibrate each part of the recording by itself and compare; film again where they differ",
-                    round(1e3 * effect_m, 2),
-                    held.p,
-                )
-            )
-    return rows, findings
+    return rows
+
+
+def _fold_findings(rows: Sequence[Mapping[str, Any]], params: SelfCheckParams, n_tests: int) -> list[Finding]:
+    limit = params.significance / (n_tests + params.folds)
+    return [
+        Finding(
+            "held out",
+            "distrust" if row["moves_mm"] > params.distrust_mm else "caution",
+            (),
+            f"Without the frames {row['frames']} the result changes by {row['moves_mm']:.1f} mm more than its covariance "
+            "allows: these frames and the others are not of one rig",
+            "Calibrate each part of the recording by itself and compare; film again where they differ",
+            row["moves_mm"],
+            row["p"],
+        )
+        for row in rows
+        if row["p"] < limit and row["moves_mm"] > params.caution_mm
+    ]
 
 
 def _moved_by(eq: Equations, step: FloatArray, covariance: FloatArray, gone: IntArray) -> float:
     """RMS of what a step of the cameras' parameters moves the held-out corners by, beyond its own noise, metres."""
     views = np.flatnonzero(gone[eq.frame])
-    total, L = 0.0, eq.index.shape[1]
+    total = 0.0
     for v in views:
-        at, E = eq.index[v], eq.size[v, :L, :L]
+        at, E = eq.index[v], eq.size[v][np.ix_(eq.model, eq.model)] * np.outer(eq.active[v], eq.active[v])
         total += float(step[at] @ E @ step[at] - np.sum(E * covariance[np.ix_(at, at)]))
     return float(np.sqrt(max(total, 0.0) / max(int(eq.corners[views].sum()), 1)))
 

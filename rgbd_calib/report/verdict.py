@@ -52,6 +52,12 @@ def judge(quality: Mapping[str, Any], missing: Sequence[str], depth_noise_mm: fl
             f"in the median, the noise of two single depth readings included ({levels[-1]})."
             + (f" Single depth readings scatter by {_mm(depth_noise_mm)} here, RMS." if depth_noise_mm else "")
         )
+    if scale := quality.get("self_check", {}).get("scale"):
+        reasons.append(
+            f"Distances as such rest on the board: by the depth its squares are {scale['percent']:+.2f} ± "
+            f"{scale['sd_percent']:.2f} % from what was stated, or {_mm(10 * scale['sd_percent'] * scale['distance_m'])} at "
+            f"{scale['distance_m']:.1f} m (one sigma)."
+        )
     weak, advice = _weaknesses(quality)
     reasons += weak
     steps += advice

@@ -23,6 +23,9 @@ from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import Board, PlacedView, PosedView
 
+MIN_AGREEING = 0.5
+"""Share of a pair's frames: where fewer agree, and no more than by another reading, they are not of one instant each."""
+
 
 MAX_PROPOSALS = 128
 """Frames of a pair that propose a relative pose, spread over all of them; all vote. So the time grows as the frames do."""
@@ -180,6 +183,12 @@ def _chain(reference: str, cameras: Sequence[str], pairs: Sequence[PairVotes]) -
         reach = [p for p in pairs if (p.cameras[0] in placed) != (p.cameras[1] in placed)]
         best = max(reach, key=lambda p: (p.votes - p.rival_votes, p.votes))
         a, b = best.cameras
+        if best.votes <= best.rival_votes and best.votes < MIN_AGREEING * best.frames and best.frames > 2:
+            raise CalibrationError(
+                f"{a} and {b}: {best.votes} of {best.frames} common frames agree on where the two stand, not more than agree by "
+                f"chance; {MIN_AGREEING:.0%} at least are needed. Frames of different instants under one name, of another "
+                "session, mirrored images, or another pattern in view: look at a few frames of both, and film again"
+            )
         if best.votes <= best.rival_votes:
             raise CalibrationError(
                 f"{a} and {b}: {best.frames} common view(s), and the board could be half turned, or seen from its other "

@@ -27,6 +27,10 @@ from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import DepthBias
 
+MAX_RATIO = 1.25
+"""Of true distances over measured ones, and of its inverse: sensors are good to a few per cent, and the smallest mistake of
+units is a factor of 2.5."""
+
 
 @dataclass(frozen=True)
 class DepthBiasParams:
@@ -89,6 +93,12 @@ def fit_with_data(
         raise CalibrationError(
             f"{camera}: depth seen from {z_m.min():.2f} to {z_m.max():.2f} m, a ratio of {params.min_range_ratio} needed "
             "to tell offset from scale. Record it nearer and farther too"
+        )
+    ratio = float(np.median(z_true_m / z_m))
+    if not 1 / MAX_RATIO < ratio < MAX_RATIO:
+        raise CalibrationError(
+            f"{camera}: true distances are {ratio:.3g} times the measured depth, in the median; {1 / MAX_RATIO:g} to "
+            f"{MAX_RATIO:g} needed. Check the unit of the distances (metres) and depth_scale (metres for each unit of depth)"
         )
     keep = np.ones(len(z_m), bool)
     for _ in range(5):

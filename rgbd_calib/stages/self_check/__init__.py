@@ -8,6 +8,7 @@ image and range), :mod:`.checks` what needs no equations, :mod:`.findings` from 
 
 from rgbd_calib.stages.self_check.checks import (
     Noise,
+    check_clipped,
     check_copies,
     check_dropped,
     check_groups,
@@ -17,7 +18,7 @@ from rgbd_calib.stages.self_check.checks import (
 )
 from rgbd_calib.stages.self_check.equations import NO_MOMENT, Deletion, Equations, Score, delete, score_test
 from rgbd_calib.stages.self_check.findings import Finding, SelfCheck, SelfCheckParams
-from rgbd_calib.stages.self_check.hypotheses import Test, findings_of, tests_of
+from rgbd_calib.stages.self_check.hypotheses import Outcome, findings_of, outcomes_of, usual_distance_m
 
 __all__ = [
     "NO_MOMENT",
@@ -25,10 +26,11 @@ __all__ = [
     "Equations",
     "Finding",
     "Noise",
+    "Outcome",
     "Score",
     "SelfCheck",
     "SelfCheckParams",
-    "Test",
+    "check_clipped",
     "check_copies",
     "check_dropped",
     "check_groups",
@@ -37,6 +39,7 @@ __all__ = [
     "delete",
     "findings_of",
     "group_ratios",
+    "outcomes_of",
     "score_test",
-    "tests_of",
+    "usual_distance_m",
 ]

@@ -81,9 +81,13 @@ def check_votes(
 
 
 def check_dropped(
-    views: Mapping[str, int], dropped: Mapping[str, Sequence[str]], moments: Sequence[str], params: SelfCheckParams
+    views: Mapping[str, int],
+    dropped: Mapping[str, Sequence[str]],
+    moments: Sequence[str],
+    params: SelfCheckParams,
+    what: str = "",
 ) -> list[Finding]:
-    """Views found of each camera, and the frames of those that were left out."""
+    """Views found of each camera, and the frames of those that were left out; `what` of them, if not all."""
     out = []
     for name, frames in dropped.items():
         n, lost = views.get(name, 0), sorted(set(frames))
@@ -92,7 +96,7 @@ def check_dropped(
         places = [moments.index(f) for f in lost if f in moments]
         together = places and len(places) > 2 and max(places) - min(places) < 1.3 * len(places)
         when = f", all between {moments[min(places)]} and {moments[max(places)]}" if together else ""
-        text = f"{len(lost)} of {name}'s {n} views do not fit the rest and were left out{when}"
+        text = f"{what}{len(lost)} of {name}'s {n} views do not fit the rest and were left out{when}"
         advice = (
             "So many are no accident: the camera moved, its images are of other instants or of another camera, or another "
             "pattern is in view. Look at the frames that are named above"
@@ -121,6 +125,22 @@ def check_copies(views: Sequence[BoardView], sigma_px: float, params: SelfCheckP
     )
     advice = "Keep one frame of each place, and film the board in more places (20 to 30)"
     return [Finding("placements", "distrust" if len(placements) < 10 else "caution", (), text, advice)]
+
+
+def check_clipped(views: Sequence[BoardView], params: SelfCheckParams) -> list[Finding]:
+    """Depths that end at one value: the sensor, or a conversion, had nothing beyond."""
+    depths: dict[str, list[FloatArray]] = {}
+    for view in views:
+        depths.setdefault(view.camera, []).append(view.depth_m[np.isfinite(view.depth_m)])
+    out = []
+    for name, listed in depths.items():
+        z_m = np.concatenate(listed)
+        share = float(np.mean(z_m > (1 - params.clipped_width) * z_m.max())) if len(z_m) else 0.0
+        if share > params.max_clipped_share:
+            text = f"{100 * share:.0f} % of {name}'s depths on the board are {z_m.max():.2f} m, and none is more: they are clipped"
+            advice = "Keep the board within the sensor's range, and convert depth without a limit"
+            out.append(Finding("depth clipped", "distrust", (name,), text, advice))
+    return out
 
 
 def _same(a: Mapping[str, BoardView], b: Mapping[str, BoardView], limit_px: float) -> bool:

@@ -30,7 +30,7 @@ R. D. Cook, S. Weisberg, Residuals and Influence in Regression, Chapman and Hall
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -43,6 +43,8 @@ NO_MOMENT = -1
 """Moment of views of another recording: of each camera alone."""
 SEEN = 1e-4
 """A direction of A of which M leaves less than this share is what the model has already."""
+WEAK = 1e-6
+"""What is left of a prior's information that is put out of use."""
 CLEAR_SIGMAS = 3.0
 """Parts of an estimate below this many of their standard deviations do not count towards its size."""
 
@@ -63,9 +65,13 @@ class Equations:
     moments: tuple[str, ...]
     """Names of the frames, by moment."""
     local: Mapping[str, slice]
-    """Local columns by name: pose, lens, bias, bow, board (these are the model's, in this order), and errors it lacks."""
+    """Local columns by name: those of the model (pose, lens, bias, bow, board), and of errors that it lacks."""
+    model: IntArray
+    """(L,), local columns of the global parameters."""
     index: IntArray
-    """(V, L), the global parameter of each local column before the board's."""
+    """(V, L), the global parameter of each of these."""
+    active: IntArray
+    """(V, L) bool: it counts in this view."""
     gram: FloatArray
     """(V, G, G), of the rows in sigmas."""
     score: FloatArray
@@ -95,11 +101,44 @@ class Equations:
     def board(self) -> slice:
         return self.local["board"]
 
+    def extended(self, columns: IntArray, where: IntArray) -> Equations:
+        """The same with the errors `columns`, (q,), of the views `where`, (V,) bool, as parameters of the model."""
+        P, q = len(self.free), len(columns)
+        prior = np.zeros((P + q, P + q))
+        prior[:P, :P] = self.prior
+        return replace(
+            self,
+            model=np.concatenate([self.model, columns]),
+            index=np.concatenate([self.index, np.broadcast_to(np.arange(P, P + q), (len(where), q))], axis=1),
+            active=np.concatenate([self.active, np.broadcast_to(where[:, None], (len(where), q))], axis=1),
+            prior=prior,
+            prior_gradient=np.concatenate([self.prior_gradient, np.zeros(q)]),
+            free=np.concatenate([self.free, np.ones(q, bool)]),
+        )
+
+    def without_prior(self, parameters: IntArray) -> Equations:
+        """The same, these parameters not known before."""
+        prior, gradient = self.prior.copy(), self.prior_gradient.copy()
+        keep = prior[parameters, parameters] * WEAK
+        prior[parameters], prior[:, parameters], gradient[parameters] = 0.0, 0.0, gradient[parameters] * WEAK
+        prior[parameters, parameters] = keep
+        return replace(self, prior=prior, prior_gradient=gradient)
+
+    @cached_property
+    def by_model(self) -> FloatArray:
+        """(V, L, G), products of the global parameters' columns with all."""
+        return self.gram[:, self.model] * self.active[..., None]
+
+    @cached_property
+    def low_by_model(self) -> FloatArray:
+        """(V, D, L)."""
+        return self.low[:, :, self.model] * self.active[:, None]
+
     @cached_property
     def W(self) -> FloatArray:
         """(F, P, 6)."""
         W = np.zeros((self.n_boards, len(self.free), 6))
-        np.add.at(W, (self.frame[:, None], self.index), self.gram[:, : self.index.shape[1], self.board])
+        np.add.at(W, (self.frame[:, None], self.index), self.by_model[:, :, self.board])
         return W * self.free[:, None]
 
     @cached_property
@@ -122,9 +161,9 @@ class Equations:
         """(F, P, P), what each frame adds to the reduced equations, its board eliminated."""
         P = len(self.free)
         S = np.zeros((self.n_boards, P, P))
-        L = self.index.shape[1]
+        own = self.by_model[:, :, self.model] * self.active[:, None]
         for v, f in enumerate(self.frame):
-            S[f][np.ix_(self.index[v], self.index[v])] += self.gram[v, :L, :L]
+            S[f][np.ix_(self.index[v], self.index[v])] += own[v]
         S *= np.outer(self.free, self.free)
         return S - self.W @ self.V_inv @ self.W.transpose(0, 2, 1)
 
@@ -132,7 +171,7 @@ class Equations:
     def frame_gradient(self) -> FloatArray:
         """(F, P), likewise."""
         g = np.zeros((self.n_boards, len(self.free)))
-        np.add.at(g, (self.frame[:, None], self.index), self.score[:, : self.index.shape[1]])
+        np.add.at(g, (self.frame[:, None], self.index), self.score[:, self.model] * self.active)
         g *= self.free
         return g - np.einsum("fpi,fij,fj->fp", self.W, self.V_inv, self.board_gradient, optimize=True)
 
@@ -156,12 +195,12 @@ class Equations:
     @cached_property
     def frame_excess(self) -> FloatArray:
         """(F, P, P), what the excess of the pose parts adds to the variance of each frame's reduced gradient."""
-        L, P = self.index.shape[1], len(self.free)
+        P = len(self.free)
         out = np.zeros((self.n_boards, P, P))
         carried = self.V_inv @ self.W.transpose(0, 2, 1)
         for v, f in enumerate(self.frame):
             rows = -self.low[v][:, self.board] @ carried[f]
-            rows[:, self.index[v]] += self.low[v][:, :L] * self.free[self.index[v]]
+            rows[:, self.index[v]] += self.low_by_model[v] * self.free[self.index[v]]
             out[f] += rows.T @ (self.excess[:, None] * rows)
         return out
 
@@ -194,7 +233,9 @@ class Score:
     """RMS over the corners concerned of what the clear part of the estimate moves them by, metres."""
 
 
-def score_test(eq: Equations, columns: IntArray, where: IntArray, effect: FloatArray | None = None) -> Score:
+def score_test(
+    eq: Equations, columns: IntArray, where: IntArray, effect: FloatArray | None = None, least_seen: float = SEEN
+) -> Score:
     """Would the solution gain by the errors `columns` in the views `where`?
 
     Parameters
@@ -202,12 +243,13 @@ def score_test(eq: Equations, columns: IntArray, where: IntArray, effect: FloatA
     columns : (q,), local columns.
     where : (V,) bool.
     effect : (q, q), mean square of the error in metres as a quadratic form of the estimate; None: of `size`.
+    least_seen : share of A that M must leave.
     """
-    q, L = len(columns), eq.index.shape[1]
+    q = len(columns)
     rows = np.flatnonzero(where)
-    gram = eq.gram[rows][:, :, columns]
+    gram, of_model = eq.gram[rows][:, :, columns], eq.by_model[rows][:, :, columns]
     cross = np.zeros((len(eq.free), q))  # J_g' A
-    np.add.at(cross, eq.index[rows], gram[:, :L])
+    np.add.at(cross, eq.index[rows], of_model)
     cross *= eq.free[:, None]
     boards = np.zeros((eq.n_boards, 6, q))  # J_b' A
     np.add.at(boards, eq.frame[rows], gram[:, eq.board])
@@ -218,23 +260,28 @@ def score_test(eq: Equations, columns: IntArray, where: IntArray, effect: FloatA
     own = gram[:, columns].sum(axis=0)
     information = own - np.einsum("fip,fiq->pq", boards, VB, optimize=True) - cross.T @ X
     x, b = eq.step
-    score = eq.score[rows][:, columns].sum(axis=0) + np.einsum("vlq,vl->q", gram[:, :L], x[eq.index[rows]])
+    score = eq.score[rows][:, columns].sum(axis=0) + np.einsum("vlq,vl->q", of_model, x[eq.index[rows]])
     score = score + np.einsum("viq,vi->q", gram[:, eq.board], b[eq.frame[rows]])
     low = np.zeros((len(eq.frame), eq.low.shape[1], q))
     low[rows] = eq.low[rows][:, :, columns]
-    low -= eq.low[:, :, :L] @ X[eq.index] + eq.low[:, :, eq.board] @ Y[eq.frame]
+    low -= eq.low_by_model @ X[eq.index] + eq.low[:, :, eq.board] @ Y[eq.frame]
     variance = information + np.einsum("d,vdp,vdq->pq", eq.excess, low, low, optimize=True)
     if effect is None:
         effect = eq.size[rows][:, columns[:, None], columns].sum(axis=0) / max(int(eq.corners[rows].sum()), 1)
-    return judge(score, information, variance, np.sqrt(np.maximum(np.diag(own), 1e-300)), effect)
+    return judge(score, information, variance, np.sqrt(np.maximum(np.diag(own), 1e-300)), effect, least_seen)
 
 
 def judge(
-    score: FloatArray, information: FloatArray, variance: FloatArray, scale: FloatArray, effect: FloatArray
+    score: FloatArray,
+    information: FloatArray,
+    variance: FloatArray,
+    scale: FloatArray,
+    effect: FloatArray,
+    least_seen: float,
 ) -> Score:
     """Statistic, estimate and clear effect of a score (q,), directions that the model has already left out."""
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    kept = values > SEEN
+    kept = values > least_seen
     if not kept.any():
         return Score(0.0, 0, 1.0, np.zeros(len(score)), np.zeros((len(score),) * 2), 0.0)
     U = vectors[:, kept]

@@ -47,6 +47,11 @@ class SelfCheckParams:
     max_copies: float = 2.0
     """Frames for each placement of the board: with more, the stated errors are too small by the root of it and more."""
 
+    max_clipped_share: float = 0.05
+    """Of a camera's depths on the board that may be equal to the largest within `clipped_width`: noise of a millimetre at
+    2 m leaves next to none."""
+    clipped_width: float = 1e-4
+
 
 @dataclass(frozen=True)
 class Finding:

@@ -1,0 +1,329 @@
+"""The self-checks: their algebra against dense least squares and real refits, silence on good data, words on bad."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import synthetic_views as sv
+
+from rgbd_calib.geometry import se3
+from rgbd_calib.io.correspondences import write_corners
+from rgbd_calib.io.files import load_yaml
+from rgbd_calib.io.rig import read_rig
+from rgbd_calib.pipeline.equations import equations_of
+from rgbd_calib.pipeline.self_check import check_bundle
+from rgbd_calib.report.page import Contents, render
+from rgbd_calib.report.verdict import judge
+from rgbd_calib.stages.association import AssociationResult
+from rgbd_calib.stages.bundle import BundleResult, CameraPrior, bundle, solve
+from rgbd_calib.stages.self_check import (
+    NO_MOMENT,
+    Equations,
+    Noise,
+    SelfCheckParams,
+    check_clipped,
+    check_copies,
+    check_dropped,
+    check_groups,
+    check_noise,
+    check_votes,
+    delete,
+    findings_of,
+    group_ratios,
+    outcomes_of,
+    score_test,
+)
+from rgbd_calib.synthetic.views import ViewNoise, true_views
+from rgbd_calib.types import DepthBias, Rig
+
+PARAMS = SelfCheckParams()
+LOCAL = {"a": slice(0, 3), "b": slice(3, 5), "board": slice(5, 11), "extra": slice(11, 13)}
+VIEWS, ROWS, BOARDS = 12, 40, 5
+
+
+def dense_problem(seed: int, excess: float = 0.0) -> tuple[Equations, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Random rows of 12 views; the equations at the minimum, dense J with the prior's rows, residuals, A, noise factor."""
+    rng = np.random.default_rng(seed)
+    frame, camera = np.arange(VIEWS) % BOARDS, np.arange(VIEWS) % 2
+    index = np.stack([[0, 1, 2, 3, 4] if c == 0 else [5, 6, 7, 3, 4] for c in camera])
+    P, N = 8, VIEWS * ROWS
+    local = rng.normal(size=(VIEWS, ROWS, 13))
+    Q = np.stack([np.linalg.qr(rng.normal(size=(ROWS, 2)))[0] for _ in range(VIEWS)])
+    J, A = np.zeros((N, P + 6 * BOARDS)), np.zeros((N, 2))
+    where = np.arange(VIEWS) >= 6
+    for v in range(VIEWS):
+        at = slice(v * ROWS, (v + 1) * ROWS)
+        J[at, index[v]] = local[v, :, :5]
+        J[at, P + 6 * frame[v] : P + 6 * frame[v] + 6] = local[v, :, 5:11]
+        A[at] = local[v, :, 11:] * where[v]
+    prior = np.diag(rng.uniform(0.1, 2.0, P))
+    sigma = np.eye(N)
+    for v in range(VIEWS):
+        at = slice(v * ROWS, (v + 1) * ROWS)
+        sigma[at, at] += excess * Q[v] @ Q[v].T
+    e = np.linalg.cholesky(sigma) @ rng.normal(size=N)
+    known = rng.normal(0, 1 / np.sqrt(np.diag(prior)))
+    J_all = np.vstack([J, np.hstack([np.sqrt(prior), np.zeros((P, 6 * BOARDS))])])
+    x = np.linalg.lstsq(J_all, -np.concatenate([e, np.sqrt(prior) @ known]), rcond=None)[0]
+    r, gradient = e + J @ x, prior @ (known + x[:P])
+    rows = r.reshape(VIEWS, ROWS)
+    eq = Equations(
+        ("C1", "C2"), camera, frame, frame, np.ones(VIEWS, bool), tuple("01234"), LOCAL, np.arange(5), index,
+        np.ones((VIEWS, 5), bool),
+        np.einsum("vng,vnh->vgh", local, local), np.einsum("vng,vn->vg", local, rows), Q.transpose(0, 2, 1) @ local,
+        np.full(2, excess), np.einsum("vng,vnh->vgh", local, local), np.full(VIEWS, ROWS), np.ones(VIEWS), prior, gradient,
+        np.ones(P, bool),
+    )  # fmt: skip
+    return eq, J_all, r, A, sigma
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_score_test_is_the_gain_of_a_new_solution(seed):
+    """With independent noise the statistic is exactly by how much the squares fall when A joins the model."""
+    eq, J, r, A, _ = dense_problem(seed)
+    where = np.arange(VIEWS) >= 6
+    score = score_test(eq, np.array([11, 12]), where)
+    gradient = np.sqrt(eq.prior) @ np.linalg.solve(eq.prior, eq.prior_gradient)
+    left = np.concatenate([r, gradient])
+    wider = np.hstack([J, np.vstack([A, np.zeros((len(J) - len(A), 2))])])
+    step, *_ = np.linalg.lstsq(wider, -left, rcond=None)
+    gain = float(left @ left - np.sum((left + wider @ step) ** 2))
+    assert score.statistic == pytest.approx(gain, rel=1e-8)
+    np.testing.assert_allclose(score.estimate, step[-2:], rtol=1e-8)
+    extended = eq.extended(np.array([11, 12]), where)
+    again = score_test(extended, np.array([11, 12]), where)
+    assert again.freedom == 0  # the model has it now
+    np.testing.assert_allclose(extended.step[0][-2:], step[-2:], rtol=1e-8)
+
+
+def test_the_statistic_is_chi2_where_views_err_together():
+    """2,000 draws of errors with a common part of each view: mean and variance of chi2(2) within five standard errors."""
+    values = []
+    eq, J, _, A, sigma = dense_problem(0, excess=8.0)
+    rng, n, P = np.random.default_rng(1), VIEWS * ROWS, 8
+    chol, C = np.linalg.cholesky(sigma), np.linalg.inv(J.T @ J)
+    local_rows = J[:n]
+    where = np.arange(VIEWS) >= 6
+    prior_sqrt = np.sqrt(np.diag(eq.prior))
+    reference = score_test(eq, np.array([11, 12]), where)
+    M_A = np.vstack([A, np.zeros((P, 2))])
+    M_A = M_A - J @ (C @ (J.T @ M_A))
+    variance = np.linalg.inv(
+        np.linalg.inv(M_A.T @ M_A) @ (M_A[:n].T @ sigma @ M_A[:n] + M_A[n:].T @ M_A[n:]) @ np.linalg.inv(M_A.T @ M_A)
+    )
+    np.testing.assert_allclose(np.linalg.inv(reference.covariance), variance, rtol=1e-6)
+    for _ in range(2000):
+        e = np.concatenate([chol @ rng.normal(size=n), prior_sqrt * rng.normal(0, 1 / prior_sqrt)])
+        a = -np.linalg.solve(M_A.T @ M_A, M_A.T @ e)
+        values.append(a @ variance @ a)
+    assert np.mean(values) == pytest.approx(2.0, abs=5 * 2 / np.sqrt(2000))
+    assert np.var(values) == pytest.approx(4.0, abs=5 * np.sqrt(8 * 4**2 / 2000))
+    assert local_rows.shape == (n, P + 6 * BOARDS)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_frame_taken_away_by_formula_and_in_truth(seed):
+    eq, J, r, _, _ = dense_problem(seed)
+    gone = np.array([False, True, False, False, True])
+    held = delete(eq, gone)
+    keep = np.concatenate([np.repeat(~gone[np.arange(VIEWS) % BOARDS], ROWS), np.ones(8, bool)])
+    left = np.concatenate([r, np.sqrt(eq.prior) @ np.linalg.solve(eq.prior, eq.prior_gradient)])
+    step = np.linalg.lstsq(J[keep], -left[keep], rcond=None)[0][:8]
+    np.testing.assert_allclose(held.step, step, rtol=1e-7)
+    seen = J[keep].T @ J[keep]
+    np.testing.assert_allclose(held.covariance, np.linalg.pinv(seen)[:8, :8], rtol=1e-6)
+
+
+NOISE = ViewNoise(0.1, 0.7e-3, 0.0)
+BIAS_SD = np.diag([1e-3, 1e-3, 5e-4]) ** 2
+
+
+def solved(rig: Rig, seed: int, frames: int = 14, change=lambda views, rng: views) -> tuple[BundleResult, list[str]]:
+    """A bundle of drawn views, those of each camera alone among them, with priors drawn about the truth."""
+    rng = np.random.default_rng(seed)
+    boards = sv.board_poses(rig, sv.BOARD, frames, rng)
+    views = change(list(true_views(rig, boards, sv.BOARD, NOISE, rng)), rng)
+    placed = list(sv.placed_truly(rig, boards, views, sv.BOARD))
+    close = sv.board_poses(rig, sv.BOARD, 10, rng)
+    single = sv.placed_truly(rig, close, true_views(rig, close, sv.BOARD, NOISE, rng), sv.BOARD)
+    placed += [replace(p, view=replace(p.view, frame=f"{p.view.camera} alone: {p.view.frame}")) for p in single]
+    priors = {}
+    for name, own in rig.cameras.items():
+        lens = own.intrinsics.vector + rng.normal(0, 1, 9) * [2, 2, 2, 2, 0.01, 0.01, 1e-4, 1e-4, 0]
+        drawn = rng.multivariate_normal(own.depth_bias.coefficients, BIAS_SD)
+        bias = DepthBias(tuple(drawn), own.depth_bias.min_m, own.depth_bias.max_m, 0.0, BIAS_SD)
+        priors[name] = CameraPrior(own.intrinsics.with_vector(lens), None, True, bias)
+    T = {name: own.T_world_color for name, own in rig.cameras.items()}
+    return bundle(placed, sv.BOARD, priors, T, "C1"), sorted(boards)
+
+
+def test_frames_held_out_by_formula_and_by_a_real_refit(monkeypatch):
+    """One Gauss-Newton step: what it leaves out is of second order, some hundredths of a standard deviation.
+
+    Of the bundle's own cost, which does not scale the depth's noise with its bias.
+    """
+    monkeypatch.setattr("rgbd_calib.pipeline.equations._scale_noise", lambda *args: None)
+    result, frames = solved(sv.arc(3, biased=True), 0)
+    eq = equations_of(result, sv.BOARD, frames)
+    alone = result.covariance - result.common.covariance
+    assert np.abs(eq.honest_covariance - alone).max() < 1e-3 * np.abs(alone).max()
+    gone_frames = frames[:4]
+    gone = np.isin(result.frames, gone_frames)
+    held = delete(eq, gone)
+    rows = ~np.isin(result.obs.frame, np.flatnonzero(gone))[:, None]
+    obs = result.obs.keep(result.obs.has_pixel & rows, result.obs.has_depth & rows)
+    refit = solve.minimize(result.state, obs, sv.BOARD, result.weights, result.prior, 30, 1e-12)
+    n = result.state.n_camera
+    for i in range(3):
+        own = slice(i * n, (i + 1) * n)
+        real = np.concatenate(
+            [
+                se3.difference(refit.state.T_world_color[i], result.state.T_world_color[i]),
+                refit.state.intrinsics[i] - result.state.intrinsics[i],
+                refit.state.bias[i] - result.state.bias[i],
+            ]
+        )
+        sd = np.sqrt(np.maximum(np.diag(held.covariance)[own], 1e-30))
+        moving = eq.free[own].astype(bool)
+        assert np.abs((held.step[own] - real) / sd)[moving].max() < 0.1
+
+
+def test_nothing_is_said_of_good_recordings():
+    """Six recordings, 80 tests each: the statistics have the size of their degrees of freedom, and none is a finding."""
+    ratios = []
+    for seed in range(6):
+        result, frames = solved(sv.arc(3, biased=True), seed)
+        eq = equations_of(result, sv.BOARD, frames)
+        tests = outcomes_of(eq, PARAMS)
+        assert findings_of(eq, tests, PARAMS, 0.0)[0] == []
+        ratios += [t.score.statistic / t.score.freedom for t in tests if t.score.freedom]
+    # tests of one recording overlap: some 30 independent ones a recording, each sqrt(2 / 4) or less about one
+    assert np.mean(ratios) == pytest.approx(1.0, abs=5 * np.sqrt(2 / 4 / (6 * 30)))
+
+
+def moved_from(views, frame: str, camera: str, change):
+    return [change(v) if v.camera == camera and v.frame >= frame else v for v in views]
+
+
+FAULTS = {
+    "pose over time": lambda views, rng: moved_from(
+        views, "000007", "C2", lambda v: replace(v, corners_px=v.corners_px + [1.5, 0.7])
+    ),
+    "depth over time": lambda views, rng: moved_from(
+        views, "000007", "C2", lambda v: replace(v, depth_m=v.depth_m + 0.012)
+    ),
+    "bias given": lambda views, rng: moved_from(views, "", "C2", lambda v: replace(v, depth_m=v.depth_m + 0.02)),
+    "depth over the image": lambda views, rng: moved_from(
+        views,
+        "",
+        "C2",
+        lambda v: replace(v, depth_m=v.depth_m * (1 + 0.03 * (v.corners_px[:, 0] / 320 - 1) ** 3)),
+    ),
+    "lens between recordings": lambda views, rng: moved_from(
+        views, "", "C2", lambda v: replace(v, corners_px=(v.corners_px - [320, 240]) * 1.04 + [320, 240])
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_each_error_is_named_with_its_camera(fault):
+    result, frames = solved(sv.arc(3, biased=True), 1, change=FAULTS[fault])
+    nothing = AssociationResult((), {}, {}, (), "C1")
+    views = [p.view for p in result.views if p.view.frame in frames]
+    check = check_bundle(result, sv.BOARD, views, nothing, frames, 0.0, PARAMS)
+    assert not check.trusted
+    first = check.findings[0]
+    also = {
+        "pose over time": {"lens over time"},  # a small turn is a shift of the centre
+        "depth over time": {"views left out"},
+        "bias given": {"depth between recordings", "views left out"},
+        "lens between recordings": {"depth between recordings", "bias given", "views left out"},
+    }
+    assert first.check in {fault} | also.get(fault, set()), [f.text for f in check.findings]
+    assert first.cameras == ("C2",)
+    assert "C2" in first.text
+
+
+def view(frame: str, camera: str = "C1", shift: float = 0.0, depth: float = 2.0):
+    v = true_views(sv.arc(2), {frame: se3.make(np.eye(3), np.array([-0.24, -0.15, 2.0]))}, sv.BOARD, sv.EXACT, np.random.default_rng(0))[0]  # fmt: skip
+    return replace(v, camera=camera, corners_px=v.corners_px + shift, depth_m=np.full(len(v.ids), depth))
+
+
+def test_checks_without_equations():
+    assert check_votes([(("C1", "C2"), 10, 6)], True, PARAMS) == []
+    (found,) = check_votes([(("C1", "C2"), 10, 4)], False, PARAMS)
+    assert "only 4 of 10 common frames agree" in found.text
+    assert "two_sided" in found.advice
+    frames = [f"{k:03d}" for k in range(20)]
+    assert check_dropped({"C1": 20}, {"C1": frames[:6]}, frames, PARAMS) == []
+    (found,) = check_dropped({"C1": 20}, {"C1": frames[12:]}, frames, PARAMS)
+    assert "8 of C1's 20 views" in found.text
+    assert "all between 012 and 019" in found.text
+    assert check_noise({"C1": Noise(0.2, 2e-3)}, PARAMS, 0.5) == []
+    levels = [f.level for f in check_noise({"C1": Noise(0.7, 7e-3), "C2": Noise(1.4, 2e-2)}, PARAMS, 0.5)]
+    assert levels == ["caution", "caution", "distrust", "distrust"]
+    assert check_noise({"C1": Noise(None, None, 20.0, 0.0)}, PARAMS, 0.5)[0].check == "boards apart"
+    still = [view(f"{k:03d}", shift=0.01 * k) for k in range(5)]
+    moving = [view(f"{k:03d}", shift=20.0 * k) for k in range(5)]
+    assert check_copies(moving, 0.1, PARAMS) == []
+    assert "5 frames show the board in 1 places" in check_copies(still, 0.1, PARAMS)[0].text
+    depths = [view(f"{k:03d}", depth=min(1.5 + 0.1 * k, 1.8)) for k in range(8)]
+    assert "1.80 m, and none is more" in check_clipped(depths, PARAMS)[0].text
+    rng = np.random.default_rng(0)
+    spread = [replace(v, depth_m=v.depth_m + rng.normal(0, 3e-3, len(v.ids))) for v in moving]
+    assert check_clipped(spread, PARAMS) == []
+    ratios = group_ratios(np.concatenate([np.ones(300), 5 * np.ones(100)]), np.repeat([0, 1], [300, 100]), 100)
+    assert check_groups({("C1", "pixels", "in its first half"): ratios[0]}, PARAMS) == []
+    assert len(check_groups({("C1", "pixels", "near the image's edge"): 2.5}, PARAMS)) == 1
+
+
+@pytest.fixture(scope="module")
+def wrong_square(tmp_path_factory):
+    """A recording whose board is 5 % smaller than dataset.yaml says, with a bias recording to tell."""
+    recording = sv.make_recording(tmp_path_factory.mktemp("square"), sv.arc(3, biased=True), frames=14)
+    dataset = recording.path / "dataset.yaml"
+    dataset.write_text(dataset.read_text().replace("square: 0.06", "square: 0.063"))
+    return recording
+
+
+def test_strict_exits_with_one_and_the_rig_is_there(run, wrong_square, tmp_path):
+    r = wrong_square
+    args = ("calibrate", r.path, "--corners", r.corners, "--intrinsics", r.intrinsics, "--depth-bias", r.depth_bias)
+    lax = run(*args, "-o", tmp_path / "lax.yaml")
+    assert lax.status == 0, lax.stderr
+    out = run(*args, "-o", tmp_path / "rig.yaml", "--strict")
+    assert out.status == 1
+    assert "Do not trust this" in out.stderr
+    assert "Measure the print" in out.stderr
+    rig = read_rig(tmp_path / "rig.yaml")
+    assert rig.quality["self_check"]["trusted"] is False
+    assert any(f["level"] == "distrust" for f in rig.quality["self_check"]["findings"])
+    assert judge(rig.quality, ()).level == "untrusted"
+    assert "Do not trust this" in render(Contents("rig.yaml", rig, {}, None))
+
+
+def test_a_good_recording_passes_strictly(run, tmp_path):
+    r = sv.make_recording(tmp_path, sv.arc(3, biased=True), frames=14)
+    for method in ("bundle", "biobjective"):
+        out = run(
+            "calibrate", r.path, "--corners", r.corners, "--intrinsics", r.intrinsics, "--depth-bias", r.depth_bias,
+            "--method", method, "--strict", "-o", tmp_path / f"{method}.yaml",
+        )  # fmt: skip
+        assert out.status == 0, out.stderr
+        assert load_yaml(tmp_path / f"{method}.yaml")["quality"]["self_check"]["trusted"] is True
+
+
+def test_a_camera_moved_half_way_is_named_by_every_method(run, tmp_path):
+    """The estimators that take lenses as given say at least that the frames do not agree, or that noise is another one."""
+    r = sv.make_recording(tmp_path, sv.arc(3, biased=True), frames=16)
+    views = moved_from(r.views, "000008", "C2", lambda v: replace(v, corners_px=v.corners_px + [3.0, 2.0]))
+    write_corners(r.corners, views)
+    out = run(
+        "calibrate", r.path, "--corners", r.corners, "--intrinsics", r.intrinsics, "--depth-bias", r.depth_bias,
+        "--strict", "-o", tmp_path / "rig.yaml",
+    )  # fmt: skip
+    assert out.status == 1
+    assert "C2" in out.stderr.split("Verdict:")[1]
+    assert NO_MOMENT == -1
