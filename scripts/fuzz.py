@@ -125,9 +125,9 @@ def _feed(name: str, inputs: int, seed: int, save: Path | None) -> dict[str, Any
             inputs_kept[what] = current.read_bytes() if current.exists() else b""
         for data in inputs_kept.values() if save else ():
             save.mkdir(parents=True, exist_ok=True)  # type: ignore[union-attr]
-            (save / f"{_slug(name)}-{sha256(data).hexdigest()[:8]}").write_bytes(data)  # type: ignore[operator]
+            (save / f"{slug(name)}-{sha256(data).hexdigest()[:8]}").write_bytes(data)  # type: ignore[operator]
         seed += 1
-    kept = len(list(SEEDS.glob(f"{_slug(name)}-*")))
+    kept = len(list(SEEDS.glob(f"{slug(name)}-*")))
     return {
         "parser": name,
         "engine": "atheris" if name in BY_BYTES else "hypothesis",
@@ -142,7 +142,7 @@ def _feed(name: str, inputs: int, seed: int, save: Path | None) -> dict[str, Any
     }
 
 
-def _slug(name: str) -> str:
+def slug(name: str) -> str:
     return "".join(c if c.isalnum() else "_" for c in name)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator
 from functools import wraps
 from pathlib import Path
@@ -123,9 +124,14 @@ def output_option(what: str, required: bool = True) -> Decorator:
 
 
 def refuse_existing(path: Path, overwrite: bool) -> None:
-    """Stop before any work where the result would replace something."""
+    """Stop before any work where the result would replace something, or could not be written."""
     if path.exists() and not overwrite:
         raise ConfigError(f"{path}: exists already. Choose another name, or replace it with --overwrite")
+    folder = next(p for p in path.absolute().parents if p.exists())
+    if not folder.is_dir():
+        raise ConfigError(f"{path}: cannot be written ({folder} is a file). Move it, or choose another name")
+    if not os.access(folder, os.W_OK):
+        raise ConfigError(f"{path}: cannot be written ({folder} is read-only). Choose a folder you may write to")
 
 
 def progress(items: Iterable[T], total: int, what: str) -> Iterator[T]:

@@ -43,7 +43,7 @@ def check_name(text: str) -> str:
     ValueError
         It would lead elsewhere, or cannot be shown.
     """
-    alone = PurePosixPath(text).name == text and PureWindowsPath(text).name == text
+    alone = text != "" and PurePosixPath(text).name == text and PureWindowsPath(text).name == text
     if not alone or text.startswith(".") or not text.isprintable() or len(text) > MAX_NAME or text != text.strip():
         raise ValueError(
             f"a camera's name is that of its folder: 1 to {MAX_NAME} printable characters without / and \\, and no dot first"

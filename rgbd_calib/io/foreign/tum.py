@@ -21,6 +21,7 @@ from rgbd_calib.io.tables import short
 
 DEPTH_SCALE = 1 / 5000
 MAX_LIST_BYTES = 64 << 20
+MAX_PATH = 500
 MAX_SECONDS = 1e10
 """Since 1970, the year 2286."""
 
@@ -65,7 +66,7 @@ def _read_list(path: Path) -> list[tuple[int, str]]:
         words = line.split()
         try:
             seconds, file = float(words[0]), PurePosixPath(words[1])
-            if not 0 <= seconds < MAX_SECONDS:
+            if not 0 <= seconds < MAX_SECONDS or len(words[1]) > MAX_PATH:
                 raise ValueError
         except (ValueError, IndexError):
             raise ConfigError(f"{path}: line {number}: {short(line)} seen, `seconds file` needed. Correct it") from None
