@@ -60,6 +60,12 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Exit with 1 where the verdict is: do not trust this. The rig is written all the same.",
 )
+@click.option(
+    "--max-views",
+    type=click.IntRange(3),
+    metavar="N",
+    help="Frames of the board to use at most: those that tell most; what the others would add is said.  [default: all]",
+)
 @config_option
 @workers_options
 @overwrite_option
@@ -80,6 +86,7 @@ def command(
     only: str | None,
     report: Path | None,
     strict: bool,
+    max_views: int | None,
     config: Path | None,
     workers: Workers,
     overwrite: bool,
@@ -131,6 +138,8 @@ def command(
             raise click.UsageError(
                 "--report goes without --update; afterwards `rgbd-calib report RIG -o DIR` writes it"
             )
+        if max_views is not None:
+            raise click.UsageError("--max-views goes without --update, which needs all views of one camera")
         refuse_existing(output, overwrite)
         updating.update(recording, update, output, only, world, intrinsics, depth_bias, corners, config, seed, workers)
         return
@@ -160,6 +169,7 @@ def command(
         method=method,
         reference=reference,
         seed=seed,
+        max_views=max_views,
         refinement__sigma_2d_px=sigma_2d,
         refinement__sigma_3d_m=sigma_3d,
     )
@@ -213,10 +223,14 @@ def command(
 
 def describe(quality: dict[str, Any]) -> list[str]:
     """What a person at the rig wants to know, from the rig's quality."""
+    from rgbd_calib.pipeline.max_views import told
+
     lines = []
     used, images = quality.get("views_used", {}), quality.get("images", {})
     if used:
         lines.append("Views used: " + ", ".join(f"{name} {used[name]} of {images[name]} images" for name in used))
+    if selected := told(quality):
+        lines.append(selected)
     for key, what in (("views_not_associated", "left out"), ("dropped", "dropped")):
         for name, frames in quality.get(key, {}).items():
             lines += [f"{name}: frame {frame} {what}: {why}" for frame, why in frames.items()]

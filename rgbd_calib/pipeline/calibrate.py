@@ -17,7 +17,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import plain
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.residuals import Residuals
-from rgbd_calib.pipeline import details, self_check
+from rgbd_calib.pipeline import details, max_views, self_check
 from rgbd_calib.pipeline.config import Config, as_plain
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.pipeline.evaluate import Evaluation, against_views
@@ -28,7 +28,6 @@ from rgbd_calib.stages.association import AssociationResult, associate
 from rgbd_calib.stages.board_pose import pose_view
 from rgbd_calib.stages.bundle import (
     BundleResult,
-    CameraPrior,
     board_poses,
     bundle,
     camera_statistics,
@@ -55,6 +54,8 @@ class Views:
     """By camera, the data that the depth bias was fitted to, where they are known."""
     filtered: PlaneFilterResult
     association: AssociationResult
+    selection: max_views.Selection | None = None
+    """The frames that tell most, where not all are used."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +141,8 @@ def calibrate(
     if joint is not None:
         with_depth = [name for name in cameras if recording.depth_files[name]]
         quality |= details.expectation(rig, joint, boards, board, with_depth)
+    if views.selection is not None:
+        quality |= views.selection.quality(quality.get("expected_alignment", {}).get("mean_mm"))
     stated_mm = quality.get("expected_alignment", {}).get("mean_mm", 0.0)
     quality |= self_check.of_calibration(
         solution,
@@ -195,7 +198,9 @@ def prepare_views(
     ]
     check_depth_scale(posed, board, biases)
     association = associate(posed, board, reference, cameras, config.association)
-    return Views(detections, lenses, biases, bias_origin, samples, filtered, association)
+    with_depth = [name for name in cameras if recording.depth_files[name]]
+    association, selection = max_views.select(association, lenses, biases, cameras, with_depth, board, config)
+    return Views(detections, lenses, biases, bias_origin, samples, filtered, association, selection)
 
 
 def reference_of(config: Config, cameras: Sequence[str]) -> str:
@@ -253,24 +258,9 @@ def _refinement(config: Config) -> RefinementParams:
 
 def _bundle(views: Views, board: Board, recording: Recording, config: Config, reference: str) -> BundleResult:
     """The joint bundle over the recording's views and those of an intrinsic recording."""
-    lenses = views.lenses
-    priors = {
-        name: CameraPrior(
-            lenses.intrinsics[name],
-            lenses.standard_deviations.get(name),
-            name in lenses.results,
-            views.biases.get(name),
-        )
-        for name in recording.cameras
-    }
-    single = []
-    for view in filter_planes(lenses.views, lenses.intrinsics, views.biases, config.plane_filter, config.seed).views:
-        if view.camera in priors and view.frame not in lenses.results[view.camera].dropped:
-            own = replace(view, frame=f"{view.camera} alone: {view.frame}")
-            posed = pose_view(
-                own, board, lenses.intrinsics[view.camera], views.biases.get(view.camera), config.board_pose
-            )
-            single.append(PlacedView(own, False, False, posed.T_color_face))
+    cameras = list(recording.cameras)
+    priors = max_views.bundle_priors(views.lenses, views.biases, cameras)
+    single = max_views.views_alone(views.lenses, views.biases, cameras, board, config)
     start = views.association.T_world_color
     return bundle([*views.association.views, *single], board, priors, start, reference, config.bundle)
 

@@ -36,6 +36,8 @@ class Config:
     reference: str | None = None
     """Camera whose frame is the world; None: the first of dataset.yaml."""
     seed: int = 0
+    max_views: int | None = None
+    """Frames of the board from which the rig is calibrated at most, those that tell most; None: all."""
     detect: DetectParams = field(default_factory=DetectParams)
     intrinsics: IntrinsicsParams = field(default_factory=IntrinsicsParams)
     depth_bias: DepthBiasParams = field(default_factory=DepthBiasParams)

@@ -1,0 +1,159 @@
+"""A long recording calibrated from the frames that tell most, and what the others would have added."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.pipeline.config import Config
+from rgbd_calib.pipeline.prepare import IntrinsicsSource
+from rgbd_calib.stages.association import AssociationResult
+from rgbd_calib.stages.board_pose import pose_view
+from rgbd_calib.stages.bundle import CameraPrior
+from rgbd_calib.stages.bundle.selection import FrameChoice, choose_frames
+from rgbd_calib.stages.plane_filter import filter_planes
+from rgbd_calib.stages.uncertainty import expected_alignment, volume
+from rgbd_calib.types import Board, DepthBias, PlacedView, Rig, RigCamera
+
+GRID = 5
+"""Points along each side of the working volume: enough for a mean."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The frames of the board that are used, of how many, and how much surer all of them would be."""
+
+    used: tuple[str, ...]
+    left_out: tuple[str, ...]
+    ratio: float
+    """Expected alignment error with these frames over that with all, by the equations at the start; NaN where no two cameras
+    have depth on a common place."""
+
+    def quality(self, expected_mm: float | None) -> dict[str, Any]:
+        """Plain numbers; `expected_mm` is what the calibration expects of itself."""
+        out: dict[str, Any] = {
+            "frames": len(self.used) + len(self.left_out),
+            "used": len(self.used),
+            "left_out": list(self.left_out),
+        }
+        if np.isfinite(self.ratio):
+            out["error_over_that_of_all"] = round(self.ratio, 4)
+            if expected_mm is not None:
+                out["expected_mm"] = round(expected_mm, 4)
+                out["expected_mm_with_all"] = round(expected_mm / self.ratio, 4)
+        return {"frame_selection": out}
+
+
+def told(quality: Mapping[str, Any]) -> str | None:
+    """One sentence of the rig's quality, where frames were selected."""
+    own = quality.get("frame_selection")
+    if own is None:
+        return None
+    text = f"{own['used']} of {own['frames']} frames used, those that tell most"
+    if "expected_mm" in own:
+        return (
+            f"{text}: expected error {own['expected_mm']:.2f} mm in the mean, {own['expected_mm_with_all']:.2f} mm estimated "
+            "with all"
+        )
+    if "error_over_that_of_all" in own:
+        return f"{text}: the expected error is {own['error_over_that_of_all']:.2f} times that with all"
+    return text
+
+
+def bundle_priors(
+    lenses: IntrinsicsSource, biases: Mapping[str, DepthBias], cameras: Sequence[str]
+) -> dict[str, CameraPrior]:
+    """What is known of each camera before the bundle."""
+    return {
+        name: CameraPrior(
+            lenses.intrinsics[name], lenses.standard_deviations.get(name), name in lenses.results, biases.get(name)
+        )
+        for name in cameras
+    }
+
+
+def views_alone(
+    lenses: IntrinsicsSource, biases: dict[str, DepthBias], cameras: Sequence[str], board: Board, config: Config
+) -> list[PlacedView]:
+    """Views of an intrinsic recording, each of a board of its own."""
+    out = []
+    for view in filter_planes(lenses.views, lenses.intrinsics, biases, config.plane_filter, config.seed).views:
+        if view.camera in cameras and view.frame not in lenses.results[view.camera].dropped:
+            own = replace(view, frame=f"{view.camera} alone: {view.frame}")
+            posed = pose_view(own, board, lenses.intrinsics[view.camera], biases.get(view.camera), config.board_pose)
+            out.append(PlacedView(own, False, False, posed.T_color_face))
+    return out
+
+
+def select(
+    association: AssociationResult,
+    lenses: IntrinsicsSource,
+    biases: dict[str, DepthBias],
+    cameras: Sequence[str],
+    with_depth: Sequence[str],
+    board: Board,
+    config: Config,
+) -> tuple[AssociationResult, Selection | None]:
+    """The association of at most `config.max_views` frames, those that tell most; as it is where it has no more.
+
+    Raises
+    ------
+    CalibrationError
+        More frames are needed to keep every pair of cameras.
+    """
+    frames = {placed.view.frame for placed in association.views}
+    if config.max_views is None or len(frames) <= config.max_views:
+        return association, None
+    choice = choose_frames(
+        association.views,
+        views_alone(lenses, biases, cameras, board, config),
+        board,
+        bundle_priors(lenses, biases, cameras),
+        association.T_world_color,
+        association.reference,
+        config.max_views,
+        config.bundle,
+    )
+    kept = set(choice.chosen)
+    views = tuple(placed for placed in association.views if placed.view.frame in kept)
+    ratio = _ratio(choice, association, lenses, biases, with_depth, board)
+    return replace(association, views=views), Selection(choice.chosen, choice.left_out, ratio)
+
+
+def _ratio(
+    choice: FrameChoice,
+    association: AssociationResult,
+    lenses: IntrinsicsSource,
+    biases: Mapping[str, DepthBias],
+    with_depth: Sequence[str],
+    board: Board,
+) -> float:
+    rig = Rig(
+        association.reference,
+        {
+            name: RigCamera(lenses.intrinsics[name], T, np.zeros((6, 6)), biases.get(name))
+            for name, T in association.T_world_color.items()
+        },
+    )
+    points_m = volume(_corners_m(association, board), GRID)
+    few, whole = (
+        expected_alignment(rig, covariance, choice.parameters, points_m, with_depth)
+        for covariance in (choice.covariance, choice.covariance_of_all)
+    )
+    if few is None or whole is None:
+        return float("nan")
+    return float(np.nanmean(few.mean_m) / np.nanmean(whole.mean_m))
+
+
+def _corners_m(association: AssociationResult, board: Board) -> FloatArray:
+    return np.concatenate(
+        [
+            se3.transform(association.T_world_color[p.view.camera] @ p.T_color_board, board.corners_m())
+            for p in association.views
+        ]
+    )
