@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,17 +58,19 @@ def write_pdf(path: Path, sheets: tuple[Sheet, ...], title: str) -> None:
     """Write one page for each sheet; same sheets, same bytes."""
     from reportlab.pdfgen.canvas import Canvas
 
+    stream = io.BytesIO()
+    canvas = Canvas(stream, invariant=1)
+    canvas.setTitle(title)
+    canvas.setViewerPreference("PrintScaling", "None")  # viewers then offer true scale first
+    for sheet in sheets:
+        canvas.setPageSize((sheet.width * _POINTS_PER_MM, sheet.height * _POINTS_PER_MM))
+        canvas.scale(_POINTS_PER_MM, _POINTS_PER_MM)
+        for shape in sheet.shapes:
+            _draw_pdf(canvas, shape, sheet.height)
+        canvas.showPage()
+    canvas.save()
     with whole_file(path) as temporary:
-        canvas = Canvas(str(temporary), invariant=1)
-        canvas.setTitle(title)
-        canvas.setViewerPreference("PrintScaling", "None")  # viewers then offer true scale first
-        for sheet in sheets:
-            canvas.setPageSize((sheet.width * _POINTS_PER_MM, sheet.height * _POINTS_PER_MM))
-            canvas.scale(_POINTS_PER_MM, _POINTS_PER_MM)
-            for shape in sheet.shapes:
-                _draw_pdf(canvas, shape, sheet.height)
-            canvas.showPage()
-        canvas.save()
+        temporary.write_bytes(stream.getvalue())
 
 
 def write_svg(path: Path, sheet: Sheet, title: str) -> None:

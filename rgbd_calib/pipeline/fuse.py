@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rgbd_calib.errors import CalibrationError
+from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import camera as lens
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
@@ -99,8 +99,17 @@ def write_ply(path: Path, points_m: FloatArray, colors: np.ndarray) -> None:
     cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor.from_numpy(np.ascontiguousarray(points_m, np.float32)))
     cloud.point.colors = o3d.core.Tensor.from_numpy(np.ascontiguousarray(colors, np.uint8))
     with whole_file(path) as temporary:
-        if not o3d.t.io.write_point_cloud(temporary, cloud):
-            raise CalibrationError(f"{path}: could not be written. Is the disk full?")
+        written = o3d.t.io.write_point_cloud(temporary, cloud)
+        if not written or not _is_whole(temporary, len(points_m)):  # Open3D does not notice that the disk is full
+            raise ConfigError(f"{path}: could not be written (disk full?). Free space, or choose another disk")
+
+
+def _is_whole(path: Path, points: int) -> bool:
+    """True where the PLY file is as long as its header and points of three floats and three bytes."""
+    end = b"end_header\n"
+    with path.open("rb") as stream:
+        head = stream.read(2000)
+    return end in head and path.stat().st_size == head.index(end) + len(end) + 15 * points
 
 
 def _cloud(recording: Recording, rig: Rig, name: str, frame: str, params: FuseParams) -> Cloud:
