@@ -263,3 +263,22 @@ def test_a_tum_list_reads_nothing_outside_its_folder(run, tmp_path, file):
     (tmp_path / "tum" / "rgb.txt").write_text(f"1.0 {file}\n")
     out = run("import", tmp_path / "tum", "-o", tmp_path / "out")
     assert out.status == 2 and "rgb.txt: line 1: " in out.stderr and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "quality",
+    [
+        "{board: 3}",
+        "{board: {cols: 9}}",
+        "{pairs: 7}",
+        "{expected_alignment: [1]}",
+        "{rounds: [a]}",
+        "{images: {C1: x}}",
+    ],
+)
+def test_a_report_of_a_quality_that_is_none(run, tmp_path, quality):
+    (tmp_path / "rig.yaml").write_text(f"{RIG}quality: {quality}\n")
+    out = run("report", tmp_path / "rig.yaml", "-o", tmp_path / "page")
+    assert out.status in (0, 2) and len(out.stderr.strip().splitlines()) <= 2, out.stderr
+    assert out.status == 0 or "rig.yaml: quality: cannot be shown" in out.stderr
+    assert out.status == 0 or not (tmp_path / "page").exists()

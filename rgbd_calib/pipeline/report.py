@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jinja2 import TemplateError
 
-from rgbd_calib.errors import RgbdCalibError
+from rgbd_calib.errors import ConfigError, RgbdCalibError
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
@@ -16,6 +17,7 @@ from rgbd_calib.io.files import write_text
 from rgbd_calib.io.recording import Recording, open_recording
 from rgbd_calib.io.residuals import Residuals, read_residuals_of, residuals_path
 from rgbd_calib.io.rig import read_boards, read_depth_bias_samples, read_rig
+from rgbd_calib.io.tables import short
 from rgbd_calib.pipeline import fuse
 from rgbd_calib.pipeline.rig_inputs import common_cameras
 from rgbd_calib.report import splat
@@ -45,7 +47,9 @@ def report_of_file(path: Path, recording: Path | None, depth_bias: Path | None, 
         rig.quality["depth_bias_samples"] = read_depth_bias_samples(depth_bias)
     left, beside = read_residuals_of(path, rig), residuals_path(path)
     if left is None and beside.exists():
-        missing["residuals"] = f"Coverage and residuals are not shown: {path.name} was updated after {beside.name} was made."
+        missing["residuals"] = (
+            f"Coverage and residuals are not shown: {path.name} was updated after {beside.name} was made."
+        )
     elif left is None:
         missing["residuals"] = (
             f"Coverage and residuals are not shown: {beside.name} is not beside {path.name}. `rgbd-calib calibrate` writes "
@@ -62,7 +66,15 @@ def report_of_file(path: Path, recording: Path | None, depth_bias: Path | None, 
             f"The clouds are not shown: the recording {named or ''} is not there. Say where it is: "
             f"`rgbd-calib report {path} --recording DIR -o {folder}`."
         )
-    return write_report(folder, path.name, rig, read_boards(path), left, opened, missing)
+    boards = read_boards(path)
+    try:
+        return write_report(folder, path.name, rig, boards, left, opened, missing)
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, TemplateError) as error:
+        # `quality` and `samples` have no schema: what they hold changes with the methods
+        raise ConfigError(
+            f"{path}: quality: cannot be shown ({type(error).__name__}: {short(str(error))}); what `rgbd-calib calibrate` wrote "
+            "there is needed. Calibrate again, or take `quality` out"
+        ) from error
 
 
 def write_report(
