@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import random
+import shutil
 import subprocess
 import sys
 import time
@@ -126,6 +127,7 @@ def _feed(name: str, inputs: int, seed: int, save: Path | None) -> dict[str, Any
         for data in inputs_kept.values() if save else ():
             save.mkdir(parents=True, exist_ok=True)  # type: ignore[union-attr]
             (save / f"{slug(name)}-{sha256(data).hexdigest()[:8]}").write_bytes(data)  # type: ignore[operator]
+        shutil.rmtree(result.parent)
         seed += 1
     kept = len(list(SEEDS.glob(f"{slug(name)}-*")))
     return {

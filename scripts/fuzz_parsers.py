@@ -50,16 +50,15 @@ RIG: dict[str, Any] = {
     "version": 1,
     "reference": "C1",
     "cameras": {
-        name: {
+        "C1": {"intrinsics": LENS, "T_world_color": EYE, "covariance": np.eye(6).tolist()},
+        "C2": {
             "intrinsics": LENS,
             "T_world_color": EYE,
             "rotation_wxyz": [1.0, 0.0, 0.0, 0.0],
             "translation_m": [0.0, 0.0, 0.0],
-            "covariance": np.eye(6).tolist(),
             "depth_bias": BIAS,
             "sigma_2d_px": 0.2,
-        }
-        for name in ("C1", "C2")
+        },
     },
     "boards": {"000000": EYE},
     "quality": {"method": "bundle"},
