@@ -64,12 +64,14 @@ class Row:
             return "clear error"
         assert self.alignment_mm is not None and self.place_mm is not None
         assert clean.alignment_mm is not None and clean.place_mm is not None
+        errors, usual = (self.alignment_mm, self.place_mm), (clean.alignment_mm, clean.place_mm)
         stated = self.stated_mm or 0.0
-        good = self.alignment_mm <= max(STATED_FACTOR * stated, CLEAN_FACTOR * clean.alignment_mm, FLOOR_MM)
-        in_place = np.hypot(stated, self.scale_mm)
-        good &= self.place_mm <= max(STATED_FACTOR * in_place, CLEAN_FACTOR * clean.place_mm, FLOOR_MM)
-        warned = self.level in ("untrusted", "poor") or "Self-check" in self.says.split("Self-checks:")[0]
-        return ("right, warned" if warned else "right") if good else "warned" if warned else "SILENT"
+        allowed = STATED_FACTOR * stated, STATED_FACTOR * float(np.hypot(stated, self.scale_mm))
+        as_good = all(e <= max(CLEAN_FACTOR * u, FLOOR_MM) for e, u in zip(errors, usual, strict=True))
+        as_stated = all(e <= max(a, FLOOR_MM) for e, a in zip(errors, allowed, strict=True))
+        if self.level in ("untrusted", "poor") or "Self-check (" in self.says:
+            return "right, warned" if as_good else "warned"
+        return "right" if as_good or as_stated else "SILENT"
 
 
 def try_fault(fault: str, seed: int, cameras: int = 3, frames: int = 24, close: int = 14) -> Row:
@@ -150,8 +152,10 @@ def place_error_mm(rig: Rig, session: Session) -> float:
     places, true = [], []
     for name in rig.cameras:
         seen = uncertainty.observe(truth, name, points)
-        places.append(uncertainty.place(rig, name, seen.pixels_px[seen.seen], seen.raw_m[seen.seen]))
-        true.append(points[seen.seen])
+        at = uncertainty.place(rig, name, seen.pixels_px, seen.raw_m)
+        kept = seen.seen & np.isfinite(at).all(axis=1)
+        places.append(at[kept])
+        true.append(points[kept])
     put, meant = np.concatenate(places), np.concatenate(true)
     return 1e3 * float(np.linalg.norm(se3.transform(align.rigid(meant, put), put) - meant, axis=1).mean())
 

@@ -327,3 +327,18 @@ def test_a_camera_moved_half_way_is_named_by_every_method(run, tmp_path):
     assert out.status == 1
     assert "C2" in out.stderr.split("Verdict:")[1]
     assert NO_MOMENT == -1
+
+
+def test_refine_tells_where_given_sigmas_are_too_small(run, tmp_path):
+    r = sv.make_recording(tmp_path, sv.arc(3), frames=10)
+    csv = tmp_path / "c.csv"
+    args = ("--corners", r.corners, "--intrinsics", r.intrinsics, "--correspondences", csv, "--method", "biobjective")
+    assert run("calibrate", r.path, *args, "-o", tmp_path / "a.yaml").status == 0
+    refine = ("refine", csv, "--intrinsics", r.intrinsics, "--strict")
+    good = run(*refine, "-o", tmp_path / "b.yaml")
+    assert good.status == 0, good.stderr
+    assert load_yaml(tmp_path / "b.yaml")["quality"]["self_check"]["trusted"] is True
+    bad = run(*refine, "--sigma-2d", "0.02", "--sigma-3d", "0.003", "-o", tmp_path / "c.yaml")
+    assert bad.status == 1
+    assert "Pixels scatter" in bad.stderr
+    assert (tmp_path / "c.yaml").exists()

@@ -14,6 +14,7 @@ from rgbd_calib.cli.options import config_option, method_options, output_option,
 @click.option("--intrinsics", type=click.Path(path_type=Path), required=True, help="intrinsics.yaml, or any rig file.")
 @output_option("rig.yaml")
 @method_options(("init", "ba", "icp", "baicp+", "biobjective"))
+@click.option("--strict", is_flag=True, help="Exit with 1 where the verdict is: do not trust this. The rig is written.")
 @config_option
 @overwrite_option
 def command(
@@ -25,6 +26,7 @@ def command(
     sigma_3d: float | None,
     reference: str | None,
     seed: int | None,
+    strict: bool,
     config: Path | None,
     overwrite: bool,
 ) -> None:
@@ -32,6 +34,8 @@ def command(
 
     Columns: camera,frame,feature,u_px,v_px,x_m,y_m,z_m - one row for each observation, u and v empty where there is only
     a 3D point, x, y, z (in the camera's frame) empty where there is only a pixel.
+
+    The residuals are tested: against sigmas that are given, and part against part in time, over the image and the range.
 
     \b
     Examples:
@@ -72,3 +76,10 @@ def command(
             f"{refined.message}"
         )
     say(f"Wrote {output}")
+    found = rig.quality.get("self_check", {}).get("findings", [])
+    for own in found:
+        say(f"Self-check: {own['text']}. {own['advice']}.")
+    if any(own["level"] == "distrust" for own in found):
+        say("Verdict: Do not trust this.")
+        if strict:
+            click.get_current_context().exit(1)

@@ -226,6 +226,7 @@ def refine_correspondences(
         refined = refine(data, lenses.intrinsics, start.T_world_color, reference, params)
         rig = _rig_of_refinement(refined, views, reference)
         quality = {"initialization": steps_of(start), **refinement_quality(refined)}
+        quality |= self_check.of_correspondences(refined, data, config.self_check)
     return replace(rig, quality={"method": config.method, **plain(quality)}), refined
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.residuals import Residuals
 from rgbd_calib.pipeline.equations import equations_of
+from rgbd_calib.pipeline.residual_parts import noise_of_bundle, parts, ratios_of_bundle, ratios_of_residuals
 from rgbd_calib.stages.association import AssociationResult
 from rgbd_calib.stages.bundle import BundleResult
 from rgbd_calib.stages.refinement import RefinementResult
@@ -24,16 +25,16 @@ from rgbd_calib.stages.self_check import (
     check_clipped,
     check_copies,
     check_dropped,
+    check_factors,
     check_groups,
     check_noise,
     check_votes,
     delete,
     findings_of,
-    group_ratios,
     outcomes_of,
     usual_distance_m,
 )
-from rgbd_calib.types import Board, BoardView, IntArray
+from rgbd_calib.types import Board, BoardView, Correspondences, IntArray
 
 
 def of_calibration(
@@ -51,7 +52,8 @@ def of_calibration(
         check = check_bundle(solution, board, views, association, moments, stated_mm, params)
     else:
         sigmas_px = _sigmas_px(solution)
-        check = check_refined(residuals, sigmas_px, views, association, board, moments, params)
+        factors = _factors(solution) if isinstance(solution, RefinementResult) else {}
+        check = check_refined(residuals, sigmas_px, factors, views, association, board, moments, params)
     return as_quality(check)
 
 
@@ -85,12 +87,12 @@ def check_bundle(
     of_folds = _fold_findings(_folds(explained, params), params, len(tests))
     blind = [key for key, why in solved.dropped.items() if why.startswith("depth only")]
     lost = [*association.dropped, *(key for key in solved.dropped if key not in blind)]
-    ratios = _ratios_of_bundle(solved, eq, params)
+    ratios = ratios_of_bundle(solved, eq, params)
     findings = [
         *_before(views, association, lost, blind, float(np.median(solved.weights.sigma_2d_px)), board, moments, params),
         *errors,
         *of_folds,
-        *(f for f in check_noise(_noise_of_bundle(solved, eq), params, stated_mm) if not (errors and f.effect_mm)),
+        *(f for f in check_noise(noise_of_bundle(solved, eq), params, stated_mm) if not (errors and f.effect_mm)),
         *check_groups(ratios, params),
     ]
     statistics = {
@@ -116,6 +118,7 @@ def check_bundle(
 def check_refined(
     residuals: Residuals,
     sigmas_px: Mapping[str, float],
+    factors: Mapping[str, tuple[float, float]],
     views: Sequence[BoardView],
     association: AssociationResult,
     board: Board,
@@ -124,15 +127,49 @@ def check_refined(
 ) -> SelfCheck:
     """Checks of the estimators that take the lenses as given: noise, agreement and parts of the data."""
     noise = {name: Noise(s, None) for name, s in sigmas_px.items() if np.isfinite(s)}
-    ratios = _ratios_of_residuals(residuals, moments, params)
+    ratios = ratios_of_residuals(residuals, moments, params)
     sigma_px = float(np.median([s for s in sigmas_px.values() if np.isfinite(s)] or [0.1]))
     findings = [
         *_before(views, association, list(association.dropped), [], sigma_px, board, moments, params),
+        *check_factors(factors, params),
         *check_noise(noise, params, 0.0),
         *check_groups(ratios, params),
     ]
-    parts = {f"{camera} {kind} {part}": round(r, 3) for (camera, kind, part), r in ratios.items()}
-    return SelfCheck(_ordered(findings), {"tested": 0, "noise_of_parts": parts})
+    named = {f"{camera} {kind} {part}": round(r, 3) for (camera, kind, part), r in ratios.items()}
+    return SelfCheck(_ordered(findings), {"tested": 0, "noise_of_parts": named})
+
+
+def of_correspondences(refined: RefinementResult, data: Correspondences, params: SelfCheckParams) -> dict[str, Any]:
+    """What the checks say of an estimate from bare correspondences, whose noise may be any."""
+    frames = sorted({frame for frame, _ in data.labels})
+    at = {name: k for k, name in enumerate(frames)}
+    moment = np.array([at[frame] for frame, _ in data.labels])
+    length = np.linalg.norm(refined.residuals_2d_px, axis=1)
+    length_3d = np.linalg.norm(refined.residuals_3d_m, axis=1) / np.maximum(data.xyz_m[:, 2], 1e-3) ** 2
+    ratios: dict[tuple[str, str, str], float] = {}
+    for i, name in enumerate(data.cameras):
+        mine, mine_3d = data.pixel_camera == i, data.xyz_camera == i
+        mine, mine_3d = mine & np.isfinite(length), mine_3d & np.isfinite(length_3d)
+        for kind, used, r, where, z in (
+            ("pixels", mine, length, data.pixels_px, None),
+            ("points", mine_3d, length_3d, data.xyz_m[:, :2] / np.maximum(data.xyz_m[:, 2:], 1e-3), data.xyz_m[:, 2]),
+        ):
+            if used.any():
+                point = (data.pixel_point if kind == "pixels" else data.xyz_point)[used]
+                low, high = where[used].min(axis=0), where[used].max(axis=0)
+                place = (where[used] - low) / np.maximum(high - low, 1e-9)
+                depth = None if z is None else z[used]
+                ratios |= parts(name, kind, r[used], place, depth, moment[point], len(frames), params)
+    findings = [*check_factors(_factors(refined), params), *check_groups(ratios, params)]
+    named = {f"{camera} {kind} {part}": round(r, 3) for (camera, kind, part), r in ratios.items()}
+    return as_quality(SelfCheck(_ordered(findings), {"tested": 0, "noise_of_parts": named}))
+
+
+def _factors(refined: RefinementResult) -> dict[str, tuple[float, float]]:
+    return {
+        "Pixels": (refined.variance_factor_2d, refined.redundancy_2d),
+        "Measured points": (refined.variance_factor_3d, refined.redundancy_3d),
+    }
 
 
 def as_quality(check: SelfCheck) -> dict[str, Any]:
@@ -259,110 +296,3 @@ def _moved_by(eq: Equations, step: FloatArray, covariance: FloatArray, gone: Int
         at, E = eq.index[v], eq.size[v][np.ix_(eq.model, eq.model)] * np.outer(eq.active[v], eq.active[v])
         total += float(step[at] @ E @ step[at] - np.sum(E * covariance[np.ix_(at, at)]))
     return float(np.sqrt(max(total, 0.0) / max(int(eq.corners[views].sum()), 1)))
-
-
-def _noise_of_bundle(solved: BundleResult, eq: Equations) -> dict[str, Noise]:
-    out = {}
-    w = solved.weights
-    for i, name in enumerate(solved.cameras):
-        mine = (eq.camera == i) & eq.shared
-        if not mine.any():
-            continue
-        n, z = float(np.mean(eq.corners[mine])), float(np.mean(eq.distance_m[mine]))
-        has_depth = solved.has_bias[i]
-        # the pose part's 6 (3) of 2 n (n) residuals have `ratio` times the deviation of the others
-        px = w.ratio_pixel * w.sigma_2d_px[i] * np.sqrt(6 / n)
-        mm = 1e3 * w.ratio_depth * w.k_depth[i] * z**2 * np.sqrt(3 / n)
-        out[name] = Noise(
-            float(w.sigma_2d_px[i]),
-            float(w.k_depth[i]) if has_depth else None,
-            float(1e3 * px * z / solved.state.intrinsics[i, 0]),
-            float(mm) if has_depth else 0.0,
-        )
-    return out
-
-
-def _ratios_of_bundle(
-    solved: BundleResult, eq: Equations, params: SelfCheckParams
-) -> dict[tuple[str, str, str], float]:
-    obs = solved.obs
-    sigma_px = solved.weights.sigma_2d_px[obs.camera]
-    of_frame = {name: k for k, name in enumerate(eq.moments)}
-    moment = np.array([of_frame.get(name, NO_MOMENT) for name in solved.frames])[obs.frame]
-    out: dict[tuple[str, str, str], float] = {}
-    for i, name in enumerate(solved.cameras):
-        lens = solved.priors[name].intrinsics
-        for kind, used, r in (
-            ("pixels", obs.has_pixel, np.linalg.norm(solved.residual_pixel, axis=-1) / np.sqrt(2) / sigma_px[:, None]),
-            ("depth", obs.has_depth, solved.residual_depth / solved.weights.k_depth[obs.camera][:, None]),
-        ):
-            mine = used & (obs.camera == i)[:, None]
-            size = np.array([lens.width, lens.height])
-            out |= _parts(
-                name,
-                kind,
-                r[mine],
-                obs.pixels_px[mine] / size,
-                obs.depth_m[mine] if kind == "depth" else None,
-                np.broadcast_to(moment[:, None], mine.shape)[mine],
-                len(eq.moments),
-                params,
-            )
-    return out
-
-
-def _ratios_of_residuals(
-    r: Residuals, moments: Sequence[str], params: SelfCheckParams
-) -> dict[tuple[str, str, str], float]:
-    at = {name: k for k, name in enumerate(moments)}
-    out: dict[tuple[str, str, str], float] = {}
-    for name in np.unique(r.camera):
-        own = r.of(str(name))
-        moment = np.array([at.get(str(f), NO_MOMENT) for f in own.frame])
-        size = np.maximum(own.pixels_px.max(axis=0), 1.0)
-        length = np.linalg.norm(own.residual_px, axis=1)
-        for kind, used, value in (
-            ("pixels", own.used_pixel & np.isfinite(length), length),
-            ("depth", own.used_depth & np.isfinite(own.residual_depth_m), own.residual_depth_m / own.depth_m**2),
-        ):
-            out |= _parts(
-                str(name),
-                kind,
-                value[used],
-                own.pixels_px[used] / size,
-                own.depth_m[used] if kind == "depth" else None,
-                moment[used],
-                len(moments),
-                params,
-            )
-    return out
-
-
-def _parts(
-    name: str,
-    kind: str,
-    r: FloatArray,
-    at: FloatArray,
-    depth_m: FloatArray | None,
-    moment: IntArray,
-    n_moments: int,
-    params: SelfCheckParams,
-) -> dict[tuple[str, str, str], float]:
-    """Noise of parts of one camera's residuals over its whole: in time, over the image, over the range."""
-    out = {}
-    rig = moment != NO_MOMENT
-    cuts = [
-        (
-            "time",
-            np.where(rig, 2 * moment // max(n_moments, 1), 2),
-            ("in its first half", "in its second half", "close"),
-        ),
-        ("image", (np.abs(at - 0.5).max(axis=1) > 0.35).astype(int), ("in the middle", "near the image's edge")),
-    ]
-    if depth_m is not None and len(depth_m):
-        edges = np.quantile(depth_m, [1 / 3, 2 / 3])
-        cuts.append(("range", np.searchsorted(edges, depth_m), ("near", "half-way", "far")))
-    for _, group, names in cuts:
-        for g, ratio in group_ratios(r, group, params.min_group).items():
-            out[name, kind, names[g]] = ratio
-    return out

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.self_check.findings import Finding, Level, SelfCheckParams
@@ -152,6 +153,24 @@ def _same(a: Mapping[str, BoardView], b: Mapping[str, BoardView], limit_px: floa
 def _apart_px(a: BoardView, b: BoardView) -> float:
     _, i, j = np.intersect1d(a.ids, b.ids, return_indices=True)
     return float(np.abs(a.corners_px[i] - b.corners_px[j]).max()) if len(i) else np.inf
+
+
+def check_factors(factors: Mapping[str, tuple[float, float]], params: SelfCheckParams) -> list[Finding]:
+    """Weighted squares over their redundancy, and the redundancy, by kind of residual.
+
+    They are 1 where sigmas were estimated, by construction; where they were given, squares ~ sigma^2 chi2(redundancy).
+    """
+    out = []
+    for kind, (factor, redundancy) in factors.items():
+        if not (np.isfinite(factor) and redundancy > 0):
+            continue
+        p, ratio = float(chi2.sf(factor * redundancy, redundancy)), float(np.sqrt(factor))
+        if p < params.significance / len(factors) and ratio > params.max_factor:
+            level: Level = "distrust" if ratio > params.max_group_ratio else "caution"
+            text = f"{kind} scatter {ratio:.2f} times as much as the sigma that was given ({redundancy:.0f} degrees of freedom)"
+            advice = "Leave the sigma to be estimated; or a lens, a pose of the scene or a match is wrong: look at the residuals"
+            out.append(Finding("chi-square", level, (), text, advice, p=p))
+    return out
 
 
 def group_ratios(residual_sigmas: FloatArray, group: IntArray, least: int) -> dict[int, float]:

@@ -33,6 +33,8 @@ class SelfCheckParams:
     """sigma_z = k z^2 of the mean over a corner's cell. One pixel of a Kinect or Xtion has 1.6e-3, of the worst sensors
     of this kind 5e-3: a mean that is no better than the worst single pixel is not the sensor's noise."""
     bad_depth_k_per_m: float = 10e-3
+    max_factor: float = 1.25
+    """Of the deviation that the residuals show over a given sigma: a covariance that is a quarter too small is still one."""
     max_group_ratio: float = 2.0
     """Of the deviation in a part of the data over the camera's whole: the stated errors may be off by so much there."""
     min_group: int = 100
