@@ -72,7 +72,8 @@ def locate_cameras(views: Sequence[FittedView], T_world_color: Mapping[str, Floa
     mine = [v for v in mine if counts[v.placed.view.frame] > 1]
     frames = sorted({v.placed.view.frame for v in mine})
     cam = np.array([cameras.index(v.placed.view.camera) for v in mine], int)
-    frame = np.array([frames.index(v.placed.view.frame) for v in mine], int)
+    number = {name: f for f, name in enumerate(frames)}
+    frame = np.array([number[v.placed.view.frame] for v in mine], int)
     T = np.stack([T_world_color[name] for name in cameras])
     boards = np.stack([np.eye(4)] * len(frames)) if frames else np.zeros((0, 4, 4))
     for v, c, f in zip(reversed(mine), cam[::-1], frame[::-1], strict=True):
@@ -115,8 +116,11 @@ def locate_cameras(views: Sequence[FittedView], T_world_color: Mapping[str, Floa
 def board_poses(T_world_color: Mapping[str, FloatArray], views: Sequence[FittedView]) -> dict[str, FloatArray]:
     """T_world_board (4, 4) by frame: the mean of what the views say through these poses, weighted by their information."""
     out: dict[str, FloatArray] = {}
-    for frame in sorted({v.placed.view.frame for v in views}):
-        mine = [v for v in views if v.placed.view.frame == frame]
+    by_frame: dict[str, list[FittedView]] = {}
+    for v in views:
+        by_frame.setdefault(v.placed.view.frame, []).append(v)
+    for frame in sorted(by_frame):
+        mine = by_frame[frame]
         T = np.stack([T_world_color[v.placed.view.camera] for v in mine])
         mean = T[:1] @ mine[0].T_color_board
         y, info = _world(mine, T, mean, np.arange(len(mine)), np.zeros(len(mine), int))
