@@ -6,6 +6,7 @@ import io
 import os
 import shutil
 import struct
+import textwrap
 import zlib
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from rgbd_calib.io.files import dump_yaml, load_yaml
 from rgbd_calib.io.images import decode_image, read_image
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_rig
+from rgbd_calib.io.rig_update import write_update
 from rgbd_calib.pipeline.config import load_config
 
 CORNERS = ",".join(correspondences.CORNERS)
@@ -282,3 +284,22 @@ def test_a_report_of_a_quality_that_is_none(run, tmp_path, quality):
     assert out.status in (0, 2) and len(out.stderr.strip().splitlines()) <= 2, out.stderr
     assert out.status == 0 or "rig.yaml: quality: cannot be shown" in out.stderr
     assert out.status == 0 or not (tmp_path / "page").exists()
+
+
+def test_cameras_that_differ_by_case_alone(recording):
+    text = (recording / "dataset.yaml").read_text()
+    (recording / "dataset.yaml").write_text(text.replace("C2:", "c1:"))
+    refused(recording, "dataset.yaml: .*cameras C1 and c1 are one folder")
+
+
+@pytest.mark.parametrize(
+    "text", [RIG.replace("C1: {", "C1: &a {") + "  C2: *a\n", "<<:\n" + textwrap.indent(RIG, "  ")]
+)
+def test_a_rig_with_aliases_is_not_changed_in_place(tmp_path, text):
+    """To replace the entry that others refer to would leave them without it."""
+    path = tmp_path / "rig.yaml"
+    path.write_text(text)
+    rig = read_rig(path)
+    with pytest.raises(ConfigError, match=r"rig.yaml: anchors"):
+        write_update(path, path, "C1", rig.cameras["C1"], {}, {})
+    assert path.read_text() == text

@@ -22,6 +22,8 @@ import numpy as np
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.recording import CameraInfo, open_recording, write_dataset
+from rgbd_calib.io.schemas import check_name
+from rgbd_calib.io.tables import short
 from rgbd_calib.types import Board
 
 TIMESTAMPS_HEADER = "frame,color_us,depth_us"
@@ -84,7 +86,18 @@ class GrowingRecording:
         return self._board
 
     def identify(self, serials: Mapping[str, str | None]) -> None:
-        """Serial numbers of the cameras, to be noted in dataset.yaml with their first images."""
+        """Serial numbers of the cameras, to be noted in dataset.yaml with their first images.
+
+        Raises
+        ------
+        ConfigError
+            A camera's name is none for a folder.
+        """
+        for camera in serials:
+            try:
+                check_name(camera)
+            except ValueError as error:
+                raise ConfigError(f"camera {short(camera)} seen; {error}. Rename it") from None
         self._serials = dict(serials)
 
     def describe(self, intrinsics: Mapping[str, Intrinsics]) -> None:

@@ -13,8 +13,8 @@ import numpy as np
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.camera import Intrinsics
-from rgbd_calib.io.files import dump_yaml, load_yaml, write_text
-from rgbd_calib.io.images import as_bgr, read_image, write_image
+from rgbd_calib.io.files import dump_yaml, load_yaml, read_bytes, write_text
+from rgbd_calib.io.images import MAX_BYTES, as_bgr, read_image, write_image
 from rgbd_calib.io.schemas import BoardModel, DatasetModel, IntrinsicsModel, parse
 from rgbd_calib.io.tables import number, number_or_nan, read_table, short
 from rgbd_calib.io.tables import write_table as write_table
@@ -138,7 +138,7 @@ class Recording:
             for camera in files:
                 for path in files[camera].values():
                     total.update(str(path.relative_to(self.path)).encode())
-                    total.update(hashlib.sha256(path.read_bytes()).digest())
+                    total.update(hashlib.sha256(read_bytes(path, MAX_BYTES)).digest())
         return total.hexdigest()
 
     def _size(self, camera: str) -> tuple[int, int]:

@@ -35,9 +35,15 @@ def write_update(
     lines = text.splitlines(keepends=True)
     if lines and not lines[-1].endswith("\n"):
         lines[-1] += "\n"
-    # load_yaml has seen that it is a mapping
-    root = cast(yaml.MappingNode, yaml.compose(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)))
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    # load_yaml has seen that it is a mapping, and that it is safe to compose
+    root = cast(yaml.MappingNode, yaml.compose(text, Loader=loader))
     top = _blocks(root, len(lines), source)
+    if "cameras" not in top or any(getattr(event, "anchor", None) for event in yaml.parse(text, Loader=loader)):
+        raise ConfigError(
+            f"{source}: anchors (&), aliases (*) or merged keys (<<) seen; every camera written out is needed to change one. "
+            "Write them out"
+        )
     cameras = next(value for key, value in root.value if key.value == "cameras")
     end = top["cameras"][1]
     entries = _blocks(cameras, end, source)

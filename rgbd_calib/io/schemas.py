@@ -220,6 +220,15 @@ class DatasetModel(_Model):
     cameras: Annotated[dict[Name, DatasetCameraModel], Field(min_length=1)]
     board: BoardModel | None = None
 
+    @model_validator(mode="after")
+    def _one_folder_each(self) -> DatasetModel:
+        seen: dict[str, str] = {}
+        for name in self.cameras:
+            other = seen.setdefault(name.casefold(), name)
+            if other != name:
+                raise ValueError(f"cameras {other} and {name} are one folder on disks that know no case. Rename one")
+        return self
+
 
 class RigCameraModel(_Model):
     """One camera; `p_world = T_world_color @ p_color`; the covariance is of the left perturbation (rad, m)."""
