@@ -1,6 +1,7 @@
 """Is a spoiled recording ever calibrated wrongly without a word? Each way to spoil one in turn, against the truth.
 
     python scripts/study_silent_failures.py [--json] [--seeds 3] [--only PATTERN]
+    python scripts/study_silent_failures.py --false-alarms 100
 
 A row is right where both errors, two cameras' places of one point against each other and against the truth, are within
 three times the expected error that the result states, or within 1.5 times those of the same session unspoiled (and half a
@@ -17,6 +18,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -33,8 +35,9 @@ from rgbd_calib.report.verdict import judge
 from rgbd_calib.stages import uncertainty
 from rgbd_calib.stages.depth_bias import fit_with_data
 from rgbd_calib.stages.detect import DetectParams
+from rgbd_calib.stages.self_check import SelfCheckParams
 from rgbd_calib.synthetic.faults import FAULTS, RINGS
-from rgbd_calib.synthetic.session import Session, draw_scene, write_session
+from rgbd_calib.synthetic.session import Session, draw_scene, film, write_session
 from rgbd_calib.types import Rig
 
 CLEAN_FACTOR, STATED_FACTOR, FLOOR_MM = 1.5, 3.0, 0.5
@@ -175,11 +178,52 @@ def rows_of(faults: list[str], seeds: int) -> Iterator[tuple[Row, str]]:
             yield row, row.judged(clean[ring, seed])
 
 
+def false_alarms(sessions: int) -> list[dict[str, Any]]:
+    """What is said of sessions in which nothing is wrong: arcs and rings of two to five cameras, with and without walls."""
+    rows = []
+    for seed in range(sessions):
+        rng = np.random.default_rng([seed, 7])
+        n, ring = int(rng.integers(2, 6)), seed % 3 == 2
+        n = max(n, 4) if ring else n
+        session = film(draw_scene(n, "ring" if ring else "arc", int(rng.integers(16, 40)), 14, rng), rng)
+        if seed % 4 == 3:
+            session = replace(session, walls=None)
+        with tempfile.TemporaryDirectory() as folder:
+            quality = calibrate_session(session, Path(folder)).rig.quality
+        own = quality["self_check"]
+        rows.append(
+            {
+                "seed": seed,
+                "cameras": n,
+                "trusted": own["trusted"],
+                "said": [f["text"] for f in own["findings"]],
+                "smallest_p": min(t["p"] for t in own["tests"]),
+                "tested": own["tested"],
+                "factor": float(np.mean([t["chi2"] / t["freedom"] for t in own["tests"] if t["freedom"]])),
+            }
+        )
+        click.echo(json.dumps(rows[-1]), err=True)
+    return rows
+
+
 @click.command()
+@click.option("--false-alarms", "clean", type=int, help="Try this many unspoiled sessions instead.")
 @click.option("--seeds", default=1, show_default=True)
 @click.option("--only", default="", help="Faults whose name contains this.")
 @click.option("--json", "as_json", is_flag=True, help="Print the rows as JSON.")
-def main(seeds: int, only: str, as_json: bool) -> None:
+def main(clean: int | None, seeds: int, only: str, as_json: bool) -> None:
+    if clean:
+        found = false_alarms(clean)
+        if as_json:
+            click.echo(json.dumps(found, indent=1))
+            return
+        said, untrusted = sum(bool(r["said"]) for r in found), sum(not r["trusted"] for r in found)
+        below = sum(r["smallest_p"] < SelfCheckParams().significance / r["tested"] for r in found)
+        click.echo(
+            f"{len(found)} unspoiled sessions, {sum(r['tested'] for r in found)} tests: {untrusted} not trusted, {said} with a "
+            f"sentence; in {below} a test was significant, its effect too small to matter"
+        )
+        return
     rows = []
     for row, judged in rows_of([f for f in FAULTS if only in f], seeds):
         rows.append({**asdict(row), "judged": judged})

@@ -277,8 +277,8 @@ def _fold_findings(rows: Sequence[Mapping[str, Any]], params: SelfCheckParams, n
             "held out",
             "distrust" if row["moves_mm"] > params.distrust_mm else "caution",
             (),
-            f"Without the frames {row['frames']} the result changes by {row['moves_mm']:.1f} mm more than its covariance "
-            "allows: these frames and the others are not of one rig",
+            f"Calibrated without the frames {row['frames']}, the cameras put the board in them {row['moves_mm']:.1f} mm apart, "
+            "beyond what the covariance allows: these frames and the others are not of one rig",
             "Calibrate each part of the recording by itself and compare; film again where they differ",
             row["moves_mm"],
             row["p"],
@@ -289,10 +289,21 @@ def _fold_findings(rows: Sequence[Mapping[str, Any]], params: SelfCheckParams, n
 
 
 def _moved_by(eq: Equations, step: FloatArray, covariance: FloatArray, gone: IntArray) -> float:
-    """RMS of what a step of the cameras' parameters moves the held-out corners by, beyond its own noise, metres."""
-    views = np.flatnonzero(gone[eq.frame])
+    """RMS of what a step of the cameras' parameters moves the held-out corners by, beyond its own noise, metres.
+
+    Each frame's board follows as well as it can: what is left is how far cameras then put one board apart.
+    """
+    of_model, board = eq.model, np.arange(eq.board.start, eq.board.stop)
     total = 0.0
-    for v in views:
-        at, E = eq.index[v], eq.size[v][np.ix_(eq.model, eq.model)] * np.outer(eq.active[v], eq.active[v])
-        total += float(step[at] @ E @ step[at] - np.sum(E * covariance[np.ix_(at, at)]))
-    return float(np.sqrt(max(total, 0.0) / max(int(eq.corners[views].sum()), 1)))
+    for f in np.flatnonzero(gone):
+        views = np.flatnonzero(eq.frame == f)
+        P = len(eq.free)
+        own, cross, E = np.zeros((P, P)), np.zeros((P, len(board))), np.zeros((len(board), len(board)))
+        for v in views:
+            at, on = eq.index[v], eq.active[v]
+            own[np.ix_(at, at)] += eq.size[v][np.ix_(of_model, of_model)] * np.outer(on, on)
+            cross[at] += eq.size[v][np.ix_(of_model, board)] * on[:, None]
+            E += eq.size[v][np.ix_(board, board)]
+        left = own - cross @ np.linalg.pinv(E, hermitian=True) @ cross.T
+        total += float(step @ left @ step - np.sum(left * covariance))
+    return float(np.sqrt(max(total, 0.0) / max(int(eq.corners[gone[eq.frame]].sum()), 1)))
