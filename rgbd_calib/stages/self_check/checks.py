@@ -112,10 +112,12 @@ def check_copies(views: Sequence[BoardView], sigma_px: float, params: SelfCheckP
     for view in views:
         by_frame.setdefault(view.frame, {})[view.camera] = view
     placements: list[dict[str, BoardView]] = []
+    places = _Places(views, len(by_frame))
     limit = params.copies_sigmas * sigma_px
     for frame in sorted(by_frame):
         own = by_frame[frame]
-        if not any(_same(own, other, limit) for other in placements):
+        if not any(_same(own, placements[k], limit) for k in places.near(own, limit)):
+            places.add(own)
             placements.append(own)
     if len(by_frame) <= params.max_copies * len(placements):
         return []
@@ -142,6 +144,33 @@ def check_clipped(views: Sequence[BoardView], params: SelfCheckParams) -> list[F
             advice = "Keep the board within the sensor's range, and convert depth without a limit"
             out.append(Finding("depth clipped", "distrust", (name,), text, advice))
     return out
+
+
+class _Places:
+    """Corners of the placements until now, so that a frame is compared with the few that may be its own."""
+
+    def __init__(self, views: Sequence[BoardView], n: int) -> None:
+        corners = 1 + max((int(view.ids.max(initial=0)) for view in views), default=0)
+        cameras = {view.camera for view in views}
+        self._px = {name: np.full((n, corners, 2), np.nan) for name in cameras}
+        self._seen = {name: np.zeros(n, bool) for name in cameras}
+        self._n = 0
+
+    def add(self, own: Mapping[str, BoardView]) -> None:
+        for name, view in own.items():
+            self._px[name][self._n, view.ids] = view.corners_px
+            self._seen[name][self._n] = True
+        self._n += 1
+
+    def near(self, own: Mapping[str, BoardView], limit_px: float) -> IntArray:
+        """Numbers of the placements that no camera's first corner tells from this frame, and that some camera sees too."""
+        apart, common = np.zeros(self._n, bool), np.zeros(self._n, bool)
+        for name, view in own.items():
+            if len(view.ids):
+                px = self._px[name][: self._n, view.ids[0]]
+                apart |= np.any(np.abs(px - view.corners_px[0]) >= limit_px, axis=1)  # never where it is not seen
+                common |= self._seen[name][: self._n]
+        return np.flatnonzero(common & ~apart)
 
 
 def _same(a: Mapping[str, BoardView], b: Mapping[str, BoardView], limit_px: float) -> bool:
