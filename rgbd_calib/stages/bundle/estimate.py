@@ -214,5 +214,6 @@ def _check_left(
         )
         raise CalibrationError(
             f"{', '.join(lost)}: no view is left that agrees with the other cameras ({why}); five common views are needed. "
-            "Hold the board still while all cameras expose, and film again"
+            "The camera moved while the recording was made, its frames are of other instants or mirrored, or the board moved "
+            "between exposures: fix the camera, hold the board still while all expose, and film again"
         )
