@@ -11,16 +11,16 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes share the cores
 
 from dataclasses import dataclass
-from multiprocessing import Pool
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
-from rgbd_calib.cli.options import progress
+from rgbd_calib.cli.options import progress, say
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import camera, resection, se3, so3
+from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.stages.refinement import RefinementParams, RefinementResult, refine
 from rgbd_calib.synthetic.features import paper_scene, visible_points
 from rgbd_calib.synthetic.scene import Caster
@@ -206,18 +206,23 @@ def realise(task: tuple[Condition, int]) -> tuple[Condition, int, dict[str, Any]
     return condition, seed, out
 
 
+def realise_all(tasks: list[tuple[Condition, int]]) -> list[dict[str, Any]]:
+    """What the estimators made of some realisations."""
+    return [realise(task)[2] for task in tasks]
+
+
 Study = dict[Condition, list[dict[str, Any]]]
 
 
-def run(realisations: int, jobs: int) -> Study:
+def run(realisations: int, workers: Workers) -> Study:
     """All realisations of all conditions, in the order of their seeds."""
     conditions = list(dict.fromkeys(c for _, ticks in figures().values() for _, c in ticks))
     tasks = [(c, seed) for c in conditions for seed in range(realisations)]
-    found: dict[tuple[Condition, int], dict[str, Any]] = {}
-    with Pool(jobs) as pool:
-        for c, seed, out in progress(pool.imap_unordered(realise, tasks, CHUNK), len(tasks), "realisations"):
-            found[c, seed] = out
-    return {c: [found[c, seed] for seed in range(realisations)] for c in conditions}
+    parts = [tasks[i : i + CHUNK] for i in range(0, len(tasks), CHUNK)]
+    outs: list[dict[str, Any]] = []
+    for part in progress(workers.in_order(realise_all, parts), len(parts), "realisations"):
+        outs += part
+    return {c: outs[i * realisations : (i + 1) * realisations] for i, c in enumerate(conditions)}
 
 
 def rms_over_bound(outs: list[dict[str, Any]], method: str) -> tuple[np.ndarray, np.ndarray]:
@@ -331,17 +336,20 @@ def _picture(
 
 @click.command()
 @click.option("--realisations", type=click.IntRange(2), default=BOXES, show_default=True, help="Of each condition.")
-@click.option("--jobs", type=click.IntRange(1), default=os.cpu_count(), show_default=True, help="Processes to use.")
+@click.option("--jobs", type=click.IntRange(1), help="Processes to use.  [default: as many as there are cores]")
+@click.option(
+    "--dask", metavar="ADDRESS", help="Scheduler of a Dask cluster, whose workers need this folder in PYTHONPATH."
+)
 @click.option(
     "--output",
     type=click.Path(path_type=Path),
     default=Path(__file__).parent / "figures",
     help="Folder of the pictures.",
 )
-def main(realisations: int, jobs: int, output: Path) -> None:
+def main(realisations: int, jobs: int | None, dask: str | None, output: Path) -> None:
     """Repeat the paper's figures 1 to 8, with the Cramér-Rao bound beside them."""
     output.mkdir(parents=True, exist_ok=True)
-    study = run(realisations, jobs)
+    study = run(realisations, Workers(jobs, dask, say=say))
     text = table(study)
     (output / "study.md").write_text(text, encoding="utf-8")
     draw(study, output)
@@ -349,4 +357,6 @@ def main(realisations: int, jobs: int, output: Path) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    from reproduce_paper import main as by_name  # other processes know these functions by the module's name
+
+    by_name()

@@ -143,7 +143,9 @@ def test_a_killed_worker_of_a_cluster_changes_nothing(cluster, tmp_path, run):
 
 def test_a_recording_that_the_workers_do_not_see(cluster, tmp_path, monkeypatch):
     from rgbd_calib.io.recording import open_recording
+    from rgbd_calib.pipeline.config import Config
     from rgbd_calib.pipeline.detection import detect
+    from rgbd_calib.pipeline.doctor import examine
     from rgbd_calib.stages.detect import DetectParams
 
     opened = open_recording(draw_recording(tmp_path / "recording", 2, 1))
@@ -153,6 +155,9 @@ def test_a_recording_that_the_workers_do_not_see(cluster, tmp_path, monkeypatch)
     monkeypatch.setattr("rgbd_calib.pipeline.detection.replace", lambda recording, **_: recording)
     with pytest.raises(ConfigError, match="under the same path"):
         detect(opened, DetectParams(), Workers(dask=cluster.address))
+    monkeypatch.setattr("rgbd_calib.pipeline.doctor.replace", lambda recording, **_: recording)
+    with pytest.raises(ConfigError, match="under the same path"):  # not images that are damaged
+        examine(opened, Config(), workers=Workers(dask=cluster.address))
 
 
 def test_workers_with_another_detector_are_refused(cluster, tmp_path, monkeypatch):

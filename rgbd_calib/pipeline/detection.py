@@ -89,12 +89,7 @@ def find_in_image(task: ImageTask) -> Found:
         A damaged image, one of a wrong size or kind, or none that this process can see.
     """
     recording, at = task.recording, (task.camera, task.frame)
-    path = recording.color_files[task.camera][task.frame]
-    if not path.exists():
-        raise ConfigError(
-            f"{path}: not seen on {socket.gethostname()}; every worker needs the recording under the same path. Put it on a "
-            "file system that they share"
-        )
+    check_seen(recording, *at)
     depth_m = recording.depth_m(*at) if recording.has_depth(*at) else None
     view = detect_view(*at, recording.color(*at), depth_m, task.board, task.params)
     return Found(view, contents(recording, *at) if task.hashed else None, detector())
@@ -142,6 +137,16 @@ def detect(
             "images. Check cols and rows in dataset.yaml (they count inner corners), the light and the focus"
         )
     return Detections(views, tuple(image for image, view in zip(images, found, strict=True) if view is None))
+
+
+def check_seen(recording: Recording, camera: str, frame: str) -> None:
+    """Raise ConfigError where an image that the recording lists is not there for this process."""
+    path = recording.color_files[camera][frame]
+    if not path.exists():
+        raise ConfigError(
+            f"{path}: not seen on {socket.gethostname()}; every worker needs the recording under the same path. Put it on a "
+            "file system that they share"
+        )
 
 
 def check_detector(seen: str | None, workers: Workers) -> None:

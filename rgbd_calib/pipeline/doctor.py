@@ -19,7 +19,7 @@ from rgbd_calib.io.correspondences import read_corners
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.rig import read_intrinsics
 from rgbd_calib.pipeline.config import Config
-from rgbd_calib.pipeline.detection import Progress, board_of, check_detector, silent
+from rgbd_calib.pipeline.detection import Progress, board_of, check_detector, check_seen, silent
 from rgbd_calib.pipeline.detection_cache import Contents, DetectionCache, contents, detector
 from rgbd_calib.pipeline.verify import fit_views
 from rgbd_calib.pipeline.workers import Workers
@@ -161,6 +161,7 @@ def _look_at_all(
 def _look(task: _Task) -> _Look:
     recording, board, key, problems = task.recording, task.board, task.key, []
     color, depth_m = None, None
+    check_seen(recording, *key)
     try:
         color = recording.color(*key)
     except ConfigError as error:
