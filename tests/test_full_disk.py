@@ -252,3 +252,9 @@ def test_a_rig_and_its_residuals_belong_together(tmp_path):
     assert read_residuals_of(path, read_rig(path)) is not None
     residuals_path(path).unlink()
     assert read_residuals_of(path, rig) is None
+
+
+def test_a_view_that_does_not_fit(run, tiny, full_disk):
+    pytest.importorskip("rerun", reason="the extra `view` is not installed")
+    out = run("view", tiny.rig_path, tiny.recording, "--save", full_disk / "a.rrd")
+    assert out.status == 2 and "a.rrd: c" in out.stderr and names(full_disk) == []

@@ -78,9 +78,12 @@ def command(
 
     if save is not None:
         with whole_file(save) as temporary:
-            stream.save(temporary)
-            log()
-            stream.disconnect()
+            try:
+                stream.save(temporary)
+                log()
+                stream.disconnect()
+            except RuntimeError as error:  # of rerun's own writer
+                raise ConfigError(f"{save}: could not be written ({error}). Is the disk full? Free space") from error
         say(f"{len(read.cameras)} cameras -> {save}. Open it with: rerun {save}")
     elif serve:
         _serve(stream, log)
