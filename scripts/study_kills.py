@@ -18,8 +18,6 @@ import click
 from fuzz_parsers import scratch
 
 SIGNALS = (signal.SIGKILL,) * 6 + (signal.SIGTERM,) * 2 + (signal.SIGINT,) * 2
-WRITE_S = 0.03
-"""How long after the first temporary appears a kill may come, where it is aimed at the writing."""
 KEPT_CACHE = 5
 """Kills after which the cache of detections is emptied, so that there is something to detect again."""
 
@@ -33,6 +31,8 @@ class Study:
     old: dict[str, bytes]
     new: dict[str, bytes]
     seconds: float
+    writing_s: float
+    """From the first temporary file in the folder to the end."""
     counts: Counter[str] = field(default_factory=Counter)
 
 
@@ -62,20 +62,22 @@ def main(recording: Path, kills: int, frames: int, seed: int, as_json: bool) -> 
         shutil.rmtree(folder / "cache")
     rng = random.Random(seed)
     for study, share in zip(studies, (0.5, 0.4, 0.1), strict=True):
-        for i in range(round(share * kills)):
+        while (i := study.counts["kills"]) < round(share * kills):
             if i % KEPT_CACHE == 0:
                 shutil.rmtree(folder / "cache", ignore_errors=True)
             _one(study, out, rng, aimed=i % 2 == 1)
     rows = [
-        {"command": s.name, "seconds": round(s.seconds, 2), **{key: s.counts[key] for key in KEYS}} for s in studies
+        {"command": s.name, "seconds": f"{s.seconds:.2f}", "writing, s": f"{s.writing_s:.3f}"}
+        | {k: s.counts[k] for k in KEYS}
+        for s in studies
     ]
     shutil.rmtree(folder)
     click.echo(json.dumps(rows, indent=1) if as_json else _table(rows))
     sys.exit(any(row[key] for row in rows for key in KEYS[-2:]))
 
 
-KEYS = ("kills", "ended before", "old", "new", "parted pair, refused", "leftovers", "broken", "rerun differs")
-"""Parted pair: the rig of one run beside the residuals of another, which the reader refuses. Leftovers: hidden files."""
+KEYS = ("too late", "kills", "old", "new", "parted pair, refused", "leftovers", "broken", "rerun differs")
+"""Too late: the command had ended; not counted as a kill. Parted pair: the rig of one run beside the residuals of another, which the reader refuses. Leftovers: hidden files."""
 
 
 def _one(study: Study, out: Path, rng: random.Random, aimed: bool) -> None:
@@ -87,13 +89,14 @@ def _one(study: Study, out: Path, rng: random.Random, aimed: bool) -> None:
     number, counts = rng.choice(SIGNALS), study.counts
     pid = _start(study.args)
     if aimed:
-        while not any(".partial-" in name for name in os.listdir(out)) and not _ended(pid):
-            time.sleep(0.0002)
-        time.sleep(rng.uniform(0, WRITE_S))
+        _await_writing(pid, out)
+        time.sleep(rng.uniform(0, study.writing_s))
     else:
         time.sleep(rng.uniform(0, study.seconds))
+    if _kill(pid, number):
+        counts["too late"] += 1
+        return
     counts["kills"] += 1
-    counts["ended before"] += _kill(pid, number)
     seen = {p.name: p.read_bytes() for p in out.iterdir() if not p.name.startswith(".")}
     hidden = [p for p in out.iterdir() if p.name.startswith(".")]
     counts["leftovers"] += bool(hidden)
@@ -109,6 +112,11 @@ def _one(study: Study, out: Path, rng: random.Random, aimed: bool) -> None:
         counts["broken"] += 1
     _end(_start(study.args))
     counts["rerun differs"] += {p.name: p.read_bytes() for p in out.iterdir()} != study.new
+
+
+def _await_writing(pid: int, out: Path) -> None:
+    while not any(".partial-" in name for name in os.listdir(out)) and not _ended(pid):
+        time.sleep(0.0002)
 
 
 def _is_parted(study: Study, seen: dict[str, bytes]) -> bool:
@@ -128,19 +136,23 @@ def _is_refused(rig: Path) -> bool:
 
 
 def _study(name: str, out: Path, args: list[str], old: dict[str, bytes], makes_old: list[str] | None) -> Study:
-    def run(command: list[str]) -> tuple[dict[str, bytes], float]:
+    def run(command: list[str]) -> tuple[dict[str, bytes], float, float]:
         shutil.rmtree(out, ignore_errors=True)
         out.mkdir()
         start = time.monotonic()
-        status = _end(_start(command))
+        pid = _start(command)
+        _await_writing(pid, out)
+        writing = time.monotonic()
+        status = _end(pid)
         if status != 0:
             raise SystemExit(f"{' '.join(command)}: exit status {status}")
-        return {p.name: p.read_bytes() for p in out.iterdir()}, time.monotonic() - start
+        end = time.monotonic()
+        return {p.name: p.read_bytes() for p in out.iterdir()}, end - start, end - writing
 
     if makes_old is not None:
-        old, _ = run(makes_old)
-    new, seconds = run(args)
-    return Study(name, args, old, new, seconds)
+        old, _, _ = run(makes_old)
+    new, seconds, writing_s = run(args)
+    return Study(name, args, old, new, seconds, writing_s)
 
 
 def _start(args: list[str]) -> int:
@@ -219,7 +231,9 @@ def _import_all() -> None:
 
 def _table(rows: list[dict[str, Any]]) -> str:
     lines = [f"{'':24}" + "".join(f"{row['command']:>12}" for row in rows)]
-    return "\n".join(lines + [f"{key:24}" + "".join(f"{row[key]:>12}" for row in rows) for key in ("seconds", *KEYS)])
+    return "\n".join(
+        lines + [f"{key:24}" + "".join(f"{row[key]:>12}" for row in rows) for key in ("seconds", "writing, s", *KEYS)]
+    )
 
 
 if __name__ == "__main__":
