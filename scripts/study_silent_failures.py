@@ -199,7 +199,6 @@ def false_alarms(sessions: int) -> list[dict[str, Any]]:
                 "said": [f["text"] for f in own["findings"]],
                 "smallest_p": min(t["p"] for t in own["tests"]),
                 "tested": own["tested"],
-                "factor": float(np.mean([t["chi2"] / t["freedom"] for t in own["tests"] if t["freedom"]])),
             }
         )
         click.echo(json.dumps(rows[-1]), err=True)

@@ -23,6 +23,11 @@ PIXEL_DEGREE, DEPTH_DEGREE, RANGE_DEGREE, SHAPE_DEGREE = 4, 3, 5, 4
 which the fourth degree catches what they miss; a depth sensor's field is smoother (a tilt, a bowl, an S)."""
 
 
+POSE_PARTS = np.array([0, 1, 2, 3, 3, 3, 4, 5, 5])
+"""What is alike in the pose part of a view: the board's shift along the camera's axes, each by itself, and its turns, in
+the pixels; its offset, and its tilts, in the depth."""
+
+
 def equations_of(solved: BundleResult, board: Board, moments: Sequence[str]) -> Equations:
     """Equations at the solution; `moments` are the recording's frames in order of time, others are of a camera alone."""
     obs, kept = solved.obs, _thinned(solved)
@@ -41,11 +46,10 @@ def equations_of(solved: BundleResult, board: Board, moments: Sequence[str]) -> 
     products = [
         _products(solved, board, kept[i : i + VIEWS_AT_ONCE], local) for i in range(0, len(kept), VIEWS_AT_ONCE)
     ]
-    gram, score, low, size = (np.concatenate([part[k] for part in products]) for k in range(4))
-    ratios = np.array([solved.weights.ratio_pixel] * 6 + [solved.weights.ratio_depth] * 3)
+    gram, score, low, size, low_score = (np.concatenate([part[k] for part in products]) for k in range(5))
     z_m = model.points_in_color(solved.state, _some(obs, kept), board)[1][..., 2]
     seen = obs.has_pixel[kept]
-    return Equations(
+    eq = Equations(
         solved.cameras,
         cameras,
         frames,
@@ -59,7 +63,9 @@ def equations_of(solved: BundleResult, board: Board, moments: Sequence[str]) -> 
         gram,
         score,
         low,
-        ratios**2 - 1,
+        low_score,
+        POSE_PARTS,
+        np.zeros(len(POSE_PARTS)),
         size,
         seen.sum(axis=1),
         np.where(seen, z_m, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1),
@@ -67,6 +73,7 @@ def equations_of(solved: BundleResult, board: Board, moments: Sequence[str]) -> 
         solved.prior.information @ (solve.values(solved.state) - solved.prior.mean),
         solved.prior.free,
     )
+    return eq.weighed()
 
 
 def _thinned(solved: BundleResult) -> IntArray:
@@ -107,8 +114,8 @@ def _names(n_camera: int) -> Mapping[str, slice]:
 
 def _products(
     solved: BundleResult, board: Board, views: IntArray, local: Mapping[str, slice]
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Gram matrices, scores, pose parts and sizes of some views."""
+) -> tuple[FloatArray, ...]:
+    """Gram matrices, scores, pose parts and sizes of some views, and the pose parts of their residuals."""
     obs, state, weights = _some(solved.obs, views), solved.state, solved.weights
     lin = model.linearize(state, obs, board)
     V, N, _, G0 = lin.J.shape
@@ -133,8 +140,15 @@ def _products(
     w = np.stack([w_pixel, w_pixel, w_depth], axis=-1)
     rows, r = A * w[..., None], lin.residual * w
     flat = rows.reshape(V, 3 * N, -1)
-    in_pixel = weights.Q_pixel[views].transpose(0, 2, 1) @ rows[:, :, :2].reshape(V, 2 * N, -1)
-    in_depth = weights.Q_depth[views].transpose(0, 2, 1) @ rows[:, :, 2]
+    R_parent_color = np.where(obs.shared[:, None, None], state.T_world_color[obs.camera][:, :3, :3], np.eye(3))
+    shifts = (rows[:, :, :2, local["board"]].reshape(V, 2 * N, 6)[..., 3:]) @ R_parent_color
+    Q_pixel = _in_order(weights.Q_pixel[views], shifts)
+    flat_depth = np.stack([np.ones((V, N)), obs.points_m[..., 0], obs.points_m[..., 1]], axis=-1) * (w[..., 2:] * by_z)
+    Q_depth = _in_order(weights.Q_depth[views], flat_depth)
+    in_pixel = Q_pixel.transpose(0, 2, 1) @ rows[:, :, :2].reshape(V, 2 * N, -1)
+    in_depth = Q_depth.transpose(0, 2, 1) @ rows[:, :, 2]
+    of_pixel = np.einsum("vnd,vn->vd", Q_pixel, r[:, :, :2].reshape(V, 2 * N))
+    of_depth = np.einsum("vnd,vn->vd", Q_depth, r[:, :, 2])
     f = state.intrinsics[obs.camera][:, None, :2]
     m = np.concatenate([p[..., 2:] / f, obs.depth_m[..., None] ** 2], axis=-1)
     in_m = (A * m[..., None]).reshape(V, 3 * N, -1)
@@ -143,7 +157,14 @@ def _products(
         (r.reshape(V, 1, -1) @ flat)[:, 0],
         np.concatenate([in_pixel, in_depth], axis=1),
         in_m.transpose(0, 2, 1) @ in_m,
+        np.concatenate([of_pixel, of_depth], axis=1),
     )
+
+
+def _in_order(Q: FloatArray, first: FloatArray) -> FloatArray:
+    """The same spaces with bases that begin with the columns of `first`, (V, n, k), one after the other."""
+    turned, _ = np.linalg.qr(Q.transpose(0, 2, 1) @ first, mode="complete")
+    return Q @ turned
 
 
 def _scale_noise(by_bias: FloatArray, residual: FloatArray, obs: Observations) -> None:

@@ -17,7 +17,14 @@ from rgbd_calib.stages.self_check.checks import (
     check_votes,
     group_ratios,
 )
-from rgbd_calib.stages.self_check.equations import NO_MOMENT, Deletion, Equations, Score, delete, score_test
+from rgbd_calib.stages.self_check.equations import (
+    NO_MOMENT,
+    Deletion,
+    Equations,
+    Score,
+    delete,
+    score_test,
+)
 from rgbd_calib.stages.self_check.findings import Finding, SelfCheck, SelfCheckParams
 from rgbd_calib.stages.self_check.hypotheses import Outcome, findings_of, outcomes_of, usual_distance_m
 

@@ -51,8 +51,8 @@ def check_noise(noise: Mapping[str, Noise], params: SelfCheckParams, stated_mm: 
             (own.apart_px_mm, "pixels", "boards apart"),
             (own.apart_depth_mm, "depth", "depth of whole boards"),
         ):
-            if apart_mm > max(params.distrust_mm, stated_mm):
-                level = "distrust" if apart_mm > 3 * params.distrust_mm else "caution"
+            if apart_mm > max(params.max_apart_mm, stated_mm):
+                level = "distrust" if apart_mm > params.bad_apart_mm else "caution"
                 text = (
                     f"In one frame, {name}'s {by} put the board {apart_mm:.0f} mm (RMS) from where everything together puts it, far "
                     "more than the noise of its corners"

@@ -78,8 +78,12 @@ class Equations:
     """(V, G), the columns' products with the residuals, predicted less measured."""
     low: FloatArray
     """(V, D, G), the columns' parts in what a board moved in this view alone would change."""
+    parts: FloatArray
+    """(V, D), the residuals' own."""
+    groups: IntArray
+    """(D,), which of them have one variance."""
     excess: FloatArray
-    """(D,), ratio^2 - 1 of the variance of those parts."""
+    """(D,), by how much that exceeds 1; see :meth:`weighed`."""
     size: FloatArray
     """(V, G, G), products of the columns in metres at the board, for the size of an effect."""
     corners: IntArray
@@ -123,6 +127,16 @@ class Equations:
         prior[parameters], prior[:, parameters], gradient[parameters] = 0.0, 0.0, gradient[parameters] * WEAK
         prior[parameters, parameters] = keep
         return replace(self, prior=prior, prior_gradient=gradient)
+
+    def weighed(self) -> Equations:
+        """The same with the excess that its residuals show."""
+        return replace(self, excess=pose_excess(self))
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of one variance of the pose parts: views that others check, less the cameras' poses."""
+        frames, views = len(np.unique(self.frame[self.shared])), int(self.shared.sum())
+        return max(views - frames - len(self.cameras) + 1, 1)
 
     @cached_property
     def by_model(self) -> FloatArray:
@@ -231,6 +245,37 @@ class Score:
     """(q, q)."""
     effect_m: float
     """RMS over the corners concerned of what the clear part of the estimate moves them by, metres."""
+
+
+def pose_excess(eq: Equations) -> FloatArray:
+    """By how much the variance of the views' pose parts exceeds 1, (D,), from those parts of the residuals.
+
+    One variance for each of the groups: a board that is offset as a whole is another matter than one that is tilted.
+    With m = q' M q, E (q' r)^2 = m + excess m^2 but for what parts share, so that the moments give it.
+    """
+    carried = eq.low_by_model * eq.free[eq.index][:, None]
+    on_board = eq.low[:, :, eq.board]
+    reduced = np.zeros((*carried.shape[:2], len(eq.free)))
+    for d in range(reduced.shape[1]):
+        np.add.at(reduced[:, d], (np.arange(len(eq.frame))[:, None], eq.index), carried[:, d])
+    reduced -= on_board @ eq.V_inv[eq.frame] @ eq.W[eq.frame].transpose(0, 2, 1)
+    absorbed = np.einsum("vdp,pq,vdq->vd", reduced, eq.covariance, reduced, optimize=True)
+    absorbed += np.einsum("vdi,vij,vdj->vd", on_board, eq.V_inv[eq.frame], on_board, optimize=True)
+    there = np.any(eq.low != 0, axis=2) & eq.shared[:, None]
+    m = np.where(there, np.clip(1 - absorbed, 0.0, 1.0), 0.0)
+    x, b = eq.step
+    now = (
+        eq.parts
+        + np.einsum("vdl,vl->vd", eq.low_by_model, x[eq.index])
+        + np.einsum("vdi,vi->vd", on_board, b[eq.frame])
+    )
+    squares = np.where(there, now**2, 0.0)
+    out = np.zeros(len(eq.groups))
+    for g in np.unique(eq.groups):
+        own = eq.groups == g
+        weight = float(np.sum(m[:, own] ** 2))
+        out[own] = max(0.0, float(squares[:, own].sum() - m[:, own].sum()) / weight) if weight > 1 else 0.0
+    return out
 
 
 def score_test(

@@ -33,6 +33,10 @@ class SelfCheckParams:
     """sigma_z = k z^2 of the mean over a corner's cell. One pixel of a Kinect or Xtion has 1.6e-3, of the worst sensors
     of this kind 5e-3: a mean that is no better than the worst single pixel is not the sensor's noise."""
     bad_depth_k_per_m: float = 10e-3
+    max_apart_mm: float = 10.0
+    """What pixels, or depth, of one view may put its board beside where everything together puts it, RMS: the noise of a
+    single depth pixel at 2.5 m, here of the whole board. Such errors average over frames, and the covariance counts them."""
+    bad_apart_mm: float = 30.0
     max_factor: float = 1.25
     """Of the deviation that the residuals show over a given sigma: a covariance that is a quarter too small is still one."""
     max_group_ratio: float = 2.0

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, f
 
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.self_check.equations import NO_MOMENT, SEEN, Equations, Score, clear_effect, score_test
@@ -15,6 +15,8 @@ from rgbd_calib.types import IntArray
 
 MAX_TOLD = 5
 """Sentences; who has five such errors films again."""
+SUSPECT_P, MAX_SUSPECTS = 0.05, 16
+"""What is tested once more: a few by chance, and where something is wrong, the best explanations among many."""
 SEEN_BY_PRIOR = 1e-9
 """The board's size is not seen in pixels; what is known of the depth before is little against them."""
 OWN_SHARE = 1e-3
@@ -51,7 +53,23 @@ class Hypothesis:
 
     def accepted(self, eq: Equations) -> Equations:
         """The equations with this error in the model."""
-        return eq.without_prior(self._own(eq)[0]) if self.of_prior else eq.extended(self.columns, self.where)
+        wider = eq.without_prior(self._own(eq)[0]) if self.of_prior else eq.extended(self.columns, self.where)
+        return wider.weighed()
+
+    def retest(self, eq: Equations) -> Score:
+        """The same with the views' variances as they are once this error is in the model, by Fisher's distribution.
+
+        An error of one camera scatters all views against each other, and would hide itself behind that scatter. The
+        variances of pose parts rest on few views, those of single corners on many: the degrees of freedom are those of
+        the mixture (F. Satterthwaite, Biometrics Bulletin 2(6), 1946).
+        """
+        score = self.test(replace(eq, excess=self.accepted(eq).excess))
+        if not score.freedom:
+            return score
+        without = self.test(replace(eq, excess=np.zeros_like(eq.excess)))
+        share = 1 - float(np.trace(without.covariance) / np.trace(score.covariance))
+        freedom = eq.freedom / max(share, 1e-3) ** 2
+        return replace(score, p=float(f.sf(score.statistic / score.freedom, score.freedom, freedom)))
 
     def _own(self, eq: Equations) -> tuple[IntArray, IntArray]:
         """Parameters of a prior, those that are free and known before, and their columns."""
@@ -60,7 +78,7 @@ class Hypothesis:
         return own[used], self.columns[used]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Outcome:
     """A hypothesis and its outcome."""
 
@@ -78,7 +96,14 @@ def outcomes_of(eq: Equations, params: SelfCheckParams) -> list[Outcome]:
     listed = list(_board(eq))
     for c in range(len(eq.cameras)):
         listed += [*_over_time(eq, c, params), *_between_recordings(eq, c, params), *_sensor(eq, c), *_prior(eq, c)]
-    return [Outcome(hypothesis, hypothesis.test(eq)) for hypothesis in listed]
+    outcomes = [Outcome(hypothesis, hypothesis.test(eq)) for hypothesis in listed]
+    return _retested(eq, outcomes)
+
+
+def _retested(eq: Equations, outcomes: list[Outcome]) -> list[Outcome]:
+    """Those that look as if, once more and exactly."""
+    suspects = sorted((o for o in outcomes if o.score.p < SUSPECT_P), key=lambda o: -o.gain)[:MAX_SUSPECTS]
+    return [Outcome(o.hypothesis, o.hypothesis.retest(eq)) if o in suspects else o for o in outcomes]
 
 
 def findings_of(
@@ -99,7 +124,7 @@ def findings_of(
         best = max(left, key=lambda t: t.gain)
         told.append(best)
         eq = best.hypothesis.accepted(eq)
-        left = [Outcome(t.hypothesis, t.hypothesis.test(eq)) for t in left if t is not best]
+        left = _retested(eq, [Outcome(t.hypothesis, t.hypothesis.test(eq)) for t in left if t is not best])
     findings = [
         Finding(
             t.hypothesis.name,

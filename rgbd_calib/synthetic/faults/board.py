@@ -116,3 +116,32 @@ def _two_boards(scene: Scene, rng: Rng) -> Session:
     others = {f: T @ aside for f, T in scene.boards.items()}
     rival = {v.frame: v for v in true_views(scene.rig, others, scene.board, scene.noise, rng) if v.camera == camera}
     return change_views(session, camera, lambda v: rival.get(v.frame, v) if rng.random() < 0.5 else v)
+
+
+@named("columns and rows exchanged", ring=True)
+def _exchanged(scene: Scene, rng: Rng) -> Session:
+    board = replace(scene.board, cols=scene.board.rows, rows=scene.board.cols)
+
+    def turned(view: BoardView) -> BoardView:
+        r, c = np.divmod(view.ids, scene.board.cols)  # the same print by a quarter turn
+        return replace(view, ids=c * board.cols + board.cols - 1 - r)
+
+    session = film(scene, rng, board)
+    assert session.close is not None
+    return replace(session, views=tuple(map(turned, session.views)), close=tuple(map(turned, session.close)))
+
+
+@named("one row too few stated")
+def _row_too_few(scene: Scene, rng: Rng) -> Session:
+    """The finder takes one board in eight for the smaller one (2 of 16 rendered images)."""
+    board = replace(scene.board, rows=scene.board.rows - 1)
+
+    def cut(view: BoardView) -> BoardView:
+        kept = view.ids < board.n_corners
+        arrays = {name: getattr(view, name)[kept] for name in ("ids", "corners_px", "depth_m", "depth_pixels")}
+        return replace(view, **arrays)
+
+    session = film(scene, rng, board)
+    assert session.close is not None
+    some = [tuple(cut(v) for v in views if rng.random() < 1 / 8) for views in (session.views, session.close)]
+    return replace(session, views=some[0], close=some[1])
