@@ -13,7 +13,7 @@ from rgbd_calib.io.correspondences import write_corners
 from rgbd_calib.io.files import load_yaml
 from rgbd_calib.io.rig import read_rig
 from rgbd_calib.pipeline.equations import equations_of
-from rgbd_calib.pipeline.self_check import check_bundle
+from rgbd_calib.pipeline.self_check import check_bundle, of_calibration
 from rgbd_calib.report.page import Contents, render
 from rgbd_calib.report.verdict import judge
 from rgbd_calib.stages.association import AssociationResult
@@ -344,3 +344,16 @@ def test_refine_tells_where_given_sigmas_are_too_small(run, tmp_path):
     assert bad.status == 1
     assert "Pixels scatter" in bad.stderr
     assert (tmp_path / "c.yaml").exists()
+
+
+def test_a_check_that_cannot_be_made_is_not_passed(monkeypatch):
+    result, frames = solved(sv.arc(3, biased=True), 0)
+
+    def singular(*args):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr("rgbd_calib.pipeline.self_check.outcomes_of", singular)
+    nothing = AssociationResult((), {}, {}, (), "C1")
+    quality = of_calibration(result, None, [], nothing, sv.BOARD, frames, 0.0, PARAMS)
+    assert quality["self_check"]["trusted"] is False
+    assert "could not be checked" in quality["self_check"]["findings"][0]["text"]

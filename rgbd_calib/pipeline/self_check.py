@@ -49,12 +49,21 @@ def of_calibration(
 ) -> dict[str, Any]:
     """What the checks say of a calibration, for its quality; `solution` is None where nothing was refined."""
     if isinstance(solution, BundleResult) and not solution.state.freed.any():
-        check = check_bundle(solution, board, views, association, moments, stated_mm, params)
+        try:
+            check = check_bundle(solution, board, views, association, moments, stated_mm, params)
+        except np.linalg.LinAlgError as error:
+            check = SelfCheck((_not_checked(error),), {"tested": 0})
     else:
         sigmas_px = _sigmas_px(solution)
         factors = _factors(solution) if isinstance(solution, RefinementResult) else {}
         check = check_refined(residuals, sigmas_px, factors, views, association, board, moments, params)
     return as_quality(check)
+
+
+def _not_checked(error: Exception) -> Finding:
+    text = f"The result could not be checked: its equations are numerically singular ({error})"
+    advice = "Film more: the recording hardly determines the rig (see what is said to be fixed by what was assumed)"
+    return Finding("self-check", "distrust", (), text, advice)
 
 
 def _sigmas_px(solution: BundleResult | RefinementResult | None) -> Mapping[str, float]:

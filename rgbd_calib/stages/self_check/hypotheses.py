@@ -92,11 +92,19 @@ class Outcome:
 
 
 def outcomes_of(eq: Equations, params: SelfCheckParams) -> list[Outcome]:
-    """All of them."""
+    """All of them.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The equations are numerically singular.
+    """
     listed = list(_board(eq))
     for c in range(len(eq.cameras)):
         listed += [*_over_time(eq, c, params), *_between_recordings(eq, c, params), *_sensor(eq, c), *_prior(eq, c)]
     outcomes = [Outcome(hypothesis, hypothesis.test(eq)) for hypothesis in listed]
+    if not all(np.isfinite(o.score.statistic) for o in outcomes):
+        raise np.linalg.LinAlgError("a statistic is not finite")
     return _retested(eq, outcomes)
 
 
