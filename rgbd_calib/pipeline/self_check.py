@@ -93,7 +93,7 @@ def check_bundle(
     tests = outcomes_of(eq, params)
     errors, explained = findings_of(eq, tests, params, stated_mm)
     folds = _folds(eq, params)
-    of_folds = _fold_findings(_folds(explained, params), params, len(tests))
+    of_folds = _fold_findings(_folds(explained, params), params, len(tests), stated_mm)
     blind = [key for key, why in solved.dropped.items() if why.startswith("depth only")]
     lost = [*association.dropped, *(key for key in solved.dropped if key not in blind)]
     ratios = ratios_of_bundle(solved, eq, params)
@@ -279,12 +279,14 @@ def _folds(eq: Equations, params: SelfCheckParams) -> list[dict[str, Any]]:
     return rows
 
 
-def _fold_findings(rows: Sequence[Mapping[str, Any]], params: SelfCheckParams, n_tests: int) -> list[Finding]:
+def _fold_findings(
+    rows: Sequence[Mapping[str, Any]], params: SelfCheckParams, n_tests: int, stated_mm: float
+) -> list[Finding]:
     limit = params.significance / (n_tests + params.folds)
     return [
         Finding(
             "held out",
-            "distrust" if row["moves_mm"] > params.distrust_mm else "caution",
+            "distrust" if row["moves_mm"] > max(params.distrust_mm, stated_mm) else "caution",
             (),
             f"Calibrated without the frames {row['frames']}, the cameras put the board in them {row['moves_mm']:.1f} mm apart, "
             "beyond what the covariance allows: these frames and the others are not of one rig",
@@ -293,7 +295,7 @@ def _fold_findings(rows: Sequence[Mapping[str, Any]], params: SelfCheckParams, n
             row["p"],
         )
         for row in rows
-        if row["p"] < limit and row["moves_mm"] > params.caution_mm
+        if row["p"] < limit and row["moves_mm"] > max(params.caution_mm, stated_mm)
     ]
 
 
