@@ -237,6 +237,8 @@ class Score:
     """Outcome of a score test."""
 
     statistic: float
+    plain: float
+    """The statistic without the excess of the pose parts."""
     freedom: int
     p: float
     estimate: FloatArray
@@ -328,15 +330,21 @@ def judge(
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     kept = values > least_seen
     if not kept.any():
-        return Score(0.0, 0, 1.0, np.zeros(len(score)), np.zeros((len(score),) * 2), 0.0)
+        return Score(0.0, 0.0, 0, 1.0, np.zeros(len(score)), np.zeros((len(score),) * 2), 0.0)
     U = vectors[:, kept]
     s, var = U.T @ (score / scale), U.T @ (variance / np.outer(scale, scale)) @ U
-    statistic = float(s @ np.linalg.solve(var, s))
+    statistic, plain = float(s @ np.linalg.solve(var, s)), float(s @ (s / values[kept]))
     B = U / values[kept] / scale[:, None]  # estimate = -B s
     estimate, covariance = -B @ s, B @ var @ B.T
     freedom = int(kept.sum())
     return Score(
-        statistic, freedom, float(chi2.sf(statistic, freedom)), estimate, covariance, clear_effect(-s, var, B, effect)
+        statistic,
+        plain,
+        freedom,
+        float(chi2.sf(statistic, freedom)),
+        estimate,
+        covariance,
+        clear_effect(-s, var, B, effect),
     )
 
 
