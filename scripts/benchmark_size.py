@@ -2,7 +2,8 @@
 
 Corners are simulated for all frames (0.1 px, and depth noise), and calibrated from a recording on disk as the command does.
 Images are looked for boards in a part of the frames: the files are links to a few rendered pictures under many names.
-Peak memory is that of the process and, for detection, of its workers, MiB.
+Seconds are of the CPU, but for detection, which several processes share. Peak memory is that of the process and, for
+detection, of its workers, MiB.
 
     python scripts/benchmark_size.py
     python scripts/benchmark_size.py --frames 1000 --max-views 60 --json
@@ -104,13 +105,13 @@ def watch() -> None:
     threading.Thread(target=look, daemon=True).start()
 
 
-def timed(report: dict[str, Any], name: str, function: Any) -> Any:
-    """The function, its seconds and the peak memory until its end in `report`."""
+def timed(report: dict[str, Any], name: str, function: Any, clock: Any = time.process_time) -> Any:
+    """The function, its seconds by `clock` (of the CPU) and the peak memory until its end in `report`."""
 
     def call(*args: Any, **options: Any) -> Any:
-        start = time.perf_counter()
+        start = clock()
         out = function(*args, **options)
-        report[f"{name}_s"] = report.get(f"{name}_s", 0.0) + time.perf_counter() - start
+        report[f"{name}_s"] = report.get(f"{name}_s", 0.0) + clock() - start
         report[f"{name}_mib"] = peak_mib()
         return out
 
@@ -137,6 +138,9 @@ def calibrate_in_parts(folder: Path, given: bool, max_views: int | None) -> dict
     quality = result.rig.quality
     report |= {"views": len(views), "used": sum(quality["views_used"].values()), "rounds": len(quality["rounds"])}
     report["expected_mm"] = quality["expected_alignment"]["mean_mm"]
+    report["expected_mm_with_all"] = quality.get("frame_selection", {}).get(
+        "expected_mm_with_all", report["expected_mm"]
+    )
     return report
 
 
@@ -144,7 +148,7 @@ def detect_only(folder: Path, jobs: int) -> dict[str, Any]:
     """Seconds and memory of the detection of all images."""
     report: dict[str, Any] = {}
     recording = open_recording(folder)
-    timed(report, "detection", detect)(recording, DetectParams(), Workers(jobs))
+    timed(report, "detection", detect, time.perf_counter)(recording, DetectParams(), Workers(jobs))
     report["images"] = sum(map(len, recording.color_files.values()))
     return report
 
@@ -204,13 +208,14 @@ def main(
 
 def table_row(row: dict[str, Any], first: bool) -> str:
     head = (
-        "| frames | views | images | detection s | MiB | preparation s | MiB | solve s | MiB | digest s | all s | MiB |\n"
-        "|---|---|---|---|---|---|---|---|---|---|---|---|\n"
+        "| frames | views | images | detection s | MiB | preparation s | MiB | solve s | MiB | digest s | all s | MiB "
+        "| expected mm | with all |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n"
     )
     cells = [f"{row['cameras']} x {row['frames']}", f"{row['used']} of {row['views']}", str(row["images"])]
     for key in ("detection_s", "detection_mib", "preparation_s", "preparation_mib", "solve_s", "solve_mib"):
         cells.append(f"{row[key]:.{1 if key.endswith('_s') else 0}f}")
     cells += [f"{row['digest_s']:.1f}", f"{row['all_s']:.1f}", f"{row['all_mib']:.0f}"]
+    cells += [f"{row[key]:.3f}" for key in ("expected_mm", "expected_mm_with_all")]
     return (head if first else "") + "| " + " | ".join(cells) + " |"
 
 
