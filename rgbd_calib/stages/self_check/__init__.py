@@ -26,7 +26,8 @@ from rgbd_calib.stages.self_check.equations import (
     score_test,
 )
 from rgbd_calib.stages.self_check.findings import Finding, SelfCheck, SelfCheckParams
-from rgbd_calib.stages.self_check.hypotheses import Outcome, findings_of, outcomes_of, usual_distance_m
+from rgbd_calib.stages.self_check.hypotheses import usual_distance_m
+from rgbd_calib.stages.self_check.outcomes import Outcome, findings_of, outcomes_of
 
 __all__ = [
     "NO_MOMENT",

@@ -3,188 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2, f
 
-from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.stages.self_check.equations import NO_MOMENT, SEEN, Equations, Score, clear_effect, score_test
-from rgbd_calib.stages.self_check.findings import Finding, SelfCheckParams
+from rgbd_calib.stages.self_check.equations import NO_MOMENT, Equations, Score
+from rgbd_calib.stages.self_check.findings import SelfCheckParams
+from rgbd_calib.stages.self_check.hypothesis import Hypothesis, Say
 from rgbd_calib.types import IntArray
 
-MAX_TOLD = 5
-"""Sentences; who has five such errors films again."""
-SUSPECT_P, MAX_SUSPECTS = 0.05, 16
-"""What is tested once more: a few by chance, and where something is wrong, the best explanations among many."""
 SEEN_BY_PRIOR = 1e-9
 """The board's size is not seen in pixels; what is known of the depth before is little against them."""
-OWN_SHARE = 1e-3
-"""A deviation from a prior whose variance is a smaller share of the prior's tells nothing: the prior decided it."""
-
-Say = Callable[[Score], str]
 
 
-@dataclass(frozen=True)
-class Hypothesis:
-    """An error that the model lacks, in some views."""
-
-    name: str
-    cameras: tuple[str, ...]
-    """Empty: of the board, which all see."""
-    columns: IntArray
-    """Local columns; of a prior: those of its parameters."""
-    where: IntArray
-    """(V,) bool."""
-    say: Say
-    advice: str
-    effect: FloatArray | None = None
-    """Mean square of the error in metres as a quadratic form of its estimate; None: as the columns have it."""
-    least_seen: float = SEEN
-    """Share of the columns that must be left by what the model has."""
-    of_prior: bool = False
-    """Not an error of the views, but of what was known before."""
-
-    def test(self, eq: Equations) -> Score:
-        """How much the solution speaks for it."""
-        if self.of_prior:
-            return prior_test(eq, *self._own(eq), self.where)
-        return score_test(eq, self.columns, self.where, self.effect, self.least_seen)
-
-    def accepted(self, eq: Equations) -> Equations:
-        """The equations with this error in the model."""
-        wider = eq.without_prior(self._own(eq)[0]) if self.of_prior else eq.extended(self.columns, self.where)
-        return wider.weighed()
-
-    def retest(self, eq: Equations) -> Score:
-        """The same with the views' variances as they are once this error is in the model, by Fisher's distribution.
-
-        An error of one camera scatters all views against each other, and would hide itself behind that scatter. The
-        variances of pose parts rest on few views, those of single corners on many: the degrees of freedom are those of
-        the mixture (F. Satterthwaite, Biometrics Bulletin 2(6), 1946).
-        """
-        score = self.test(replace(eq, excess=self.accepted(eq).excess))
-        if not score.freedom:
-            return score
-        without = self.test(replace(eq, excess=np.zeros_like(eq.excess)))
-        share = 1 - float(np.trace(without.covariance) / np.trace(score.covariance))
-        freedom = eq.freedom / max(share, 1e-3) ** 2
-        return replace(score, p=float(f.sf(score.statistic / score.freedom, score.freedom, freedom)))
-
-    def _own(self, eq: Equations) -> tuple[IntArray, IntArray]:
-        """Parameters of a prior, those that are free and known before, and their columns."""
-        own = eq.index[np.flatnonzero(self.where)[0], self.columns]
-        used = np.asarray(eq.free[own].astype(bool) & (np.diag(eq.prior)[own] > 0))
-        return own[used], self.columns[used]
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """A hypothesis and its outcome."""
-
-    hypothesis: Hypothesis
-    score: Score
-
-    @property
-    def gain(self) -> float:
-        """By how much the hypothesis fits better, its freedom counted (Akaike): orders those that tell of one thing."""
-        return self.score.statistic - 2 * self.score.freedom
-
-    @property
-    def plain_gain(self) -> float:
-        """The same, had views no errors of their own."""
-        return self.score.plain - 2 * self.score.freedom
-
-
-def outcomes_of(eq: Equations, params: SelfCheckParams) -> list[Outcome]:
-    """All of them.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The equations are numerically singular.
-    """
+def hypotheses_of(eq: Equations, params: SelfCheckParams) -> list[Hypothesis]:
+    """All that are tested."""
     listed = list(_board(eq))
     for c in range(len(eq.cameras)):
         listed += [*_over_time(eq, c, params), *_between_recordings(eq, c, params), *_sensor(eq, c), *_prior(eq, c)]
-    outcomes = [Outcome(hypothesis, hypothesis.test(eq)) for hypothesis in listed]
-    if not all(np.isfinite(o.score.statistic) for o in outcomes):
-        raise np.linalg.LinAlgError("a statistic is not finite")
-    return _retested(eq, outcomes)
-
-
-def _retested(eq: Equations, outcomes: list[Outcome]) -> list[Outcome]:
-    """Those that would look suspicious if views erred in their corners alone, once more and exactly."""
-    best: dict[tuple[str, tuple[str, ...]], Outcome] = {}
-    for o in outcomes:
-        key = o.hypothesis.name, o.hypothesis.cameras
-        likely = o.score.freedom and float(chi2.sf(o.score.plain, o.score.freedom)) < SUSPECT_P
-        if likely and (key not in best or o.plain_gain > best[key].plain_gain):
-            best[key] = o
-    suspects = sorted(best.values(), key=lambda o: -o.plain_gain)[:MAX_SUSPECTS]
-    return [Outcome(o.hypothesis, o.hypothesis.retest(eq)) if o in suspects else o for o in outcomes]
-
-
-def findings_of(
-    eq: Equations, tests: list[Outcome], params: SelfCheckParams, stated_mm: float
-) -> tuple[list[Finding], Equations]:
-    """The tests that failed and matter, the best explanation first, and the equations with these errors in the model.
-
-    One error shows in many tests: where one camera moved, others seem to, or to have another lens. So what fits best is
-    said, taken into the model, and the others are tested again, until nothing fails that matters (forward selection).
-    """
-    limit, least_m = params.significance / max(len(tests), 1), 1e-3 * max(params.caution_mm, stated_mm)
-    told: list[Outcome] = []
-    left = tests
-    while len(told) < MAX_TOLD:
-        left = [t for t in left if t.score.p < limit and t.score.effect_m > least_m]
-        if not left:
-            break
-        best = max(left, key=lambda t: t.gain)
-        told.append(best)
-        eq = best.hypothesis.accepted(eq)
-        left = _retested(eq, [Outcome(t.hypothesis, t.hypothesis.test(eq)) for t in left if t is not best])
-    findings = [
-        Finding(
-            t.hypothesis.name,
-            "distrust" if 1e3 * t.score.effect_m > max(params.distrust_mm, stated_mm) else "caution",
-            t.hypothesis.cameras,
-            t.hypothesis.say(t.score),
-            t.hypothesis.advice,
-            round(1e3 * t.score.effect_m, 2),
-            t.score.p,
-        )
-        for t in told
-    ]
-    return findings, eq
-
-
-def prior_test(eq: Equations, own: IntArray, columns: IntArray, where: IntArray) -> Score:
-    """What was known of the parameters `own` before, against what the recording says of them.
-
-    With theta0 the prior's mean, of information L, theta the estimate, and C, C' its covariance without and with the
-    excess: Var(theta - theta0) = C' + L^-1 - 2 C over the parameters concerned.
-    """
-    nothing = np.zeros((len(own), len(own)))
-    if not len(own):
-        return Score(0.0, 0.0, 0, 1.0, np.zeros(0), nothing, 0.0)
-    at = np.ix_(own, own)
-    L_inv = np.asarray(np.linalg.pinv(eq.prior[at], hermitian=True), np.float64)
-    d = L_inv @ eq.prior_gradient[own] + eq.step[0][own]
-    variance = eq.honest_covariance[at] + L_inv - 2 * eq.covariance[at]
-    unit = 1 / np.sqrt(np.diag(L_inv))
-    values, vectors = np.linalg.eigh(variance * np.outer(unit, unit))
-    kept = values > OWN_SHARE
-    if not kept.any():
-        return Score(0.0, 0.0, 0, 1.0, d, nothing, 0.0)
-    U = vectors[:, kept]
-    y, freedom = U.T @ (unit * d), int(kept.sum())
-    statistic = float(np.sum(y**2 / values[kept]))
-    alone = U.T @ ((L_inv - eq.covariance[at]) * np.outer(unit, unit)) @ U
-    plain = float(y @ np.linalg.lstsq(alone, y, rcond=1e-6)[0])
-    size = eq.size[where][:, columns[:, None], columns].sum(axis=0) / max(int(eq.corners[where].sum()), 1)
-    effect_m = clear_effect(y, np.diag(values[kept]), U / unit[:, None], size)
-    return Score(statistic, plain, freedom, float(chi2.sf(statistic, freedom)), d, variance, effect_m)
+    return listed
 
 
 def _columns(eq: Equations, name: str, count: int | None = None) -> IntArray:
