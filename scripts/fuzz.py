@@ -219,7 +219,7 @@ def _by_bytes(name: str, inputs: int, seed: int, result: Path) -> None:
 
     def mutate(data: bytes, most: int, number: int) -> bytes:
         mutated = atheris.Mutate(data, most)
-        return with_checksums(mutated) if number % 4 else mutated
+        return with_checksums(mutated)[:most] if number % 4 else mutated
 
     longest = 2 * max(map(len, parser.seeds))
     options = [
