@@ -338,7 +338,7 @@ def _picture(
 @click.option("--realisations", type=click.IntRange(2), default=BOXES, show_default=True, help="Of each condition.")
 @click.option("--jobs", type=click.IntRange(1), help="Processes to use.  [default: as many as there are cores]")
 @click.option(
-    "--dask", metavar="ADDRESS", help="Scheduler of a Dask cluster, whose workers need this folder in PYTHONPATH."
+    "--dask", metavar="ADDRESS", help="Scheduler of a Dask cluster, which needs this folder in its PYTHONPATH."
 )
 @click.option(
     "--output",

@@ -127,6 +127,15 @@ def test_a_cluster_does_the_same(cluster):
         list(workers.in_order(refuse, range(30)))
 
 
+def test_a_cluster_without_the_program_is_said(cluster, tmp_path, monkeypatch):
+    (tmp_path / "unknown_there.py").write_text("def work(x):\n    return x\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    import unknown_there
+
+    with pytest.raises(ConfigError, match="its scheduler and every worker need rgbd-calib"):
+        list(Workers(dask=cluster.address).in_order(unknown_there.work, range(3)))
+
+
 def test_a_killed_worker_of_a_cluster_changes_nothing(cluster, tmp_path, run):
     """Detection on a cluster, a worker killed in the middle: the table is that of one process here."""
     folder = draw_recording(tmp_path / "recording", 3, 8)

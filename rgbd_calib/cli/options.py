@@ -33,8 +33,8 @@ def workers_options(command: Callable[..., Any]) -> Callable[..., Any]:
     @click.option(
         "--dask",
         metavar="ADDRESS",
-        help="Scheduler of a Dask cluster to look at the images, such as tcp://10.0.0.1:8786; its workers need this version "
-        "of rgbd-calib, and RECORDING under the same path.",
+        help="Scheduler of a Dask cluster to look at the images, such as tcp://10.0.0.1:8786; it and its workers need "
+        "this version of rgbd-calib, the workers also RECORDING under the same path.",
     )
     @click.option("--no-cache", is_flag=True, help="Find every board anew, and keep nothing (see rgbd-calib cache).")
     @wraps(command)

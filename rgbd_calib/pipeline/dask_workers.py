@@ -63,10 +63,11 @@ class Cluster:
                     f"{item}: every worker that works on it dies; memory for one image is needed. See the workers' logs"
                 ) from None
             except ImportError as error:
-                raise ConfigError(
-                    f"--dask {self._address}: a worker cannot do this work ({error}); every worker needs rgbd-calib. "
-                    "Install it where they run, the same version as here"
-                ) from None
+                raise self._lacks(error) from None
+            except RuntimeError as error:  # the scheduler reads the work too
+                if "deserialization" not in str(error):
+                    raise
+                raise self._lacks(error.__cause__ or "its scheduler cannot read it") from None
             except (CancelledError, CommClosedError, OSError):
                 raise ConfigError(
                     f"--dask {self._address}: the scheduler is gone. Start it again, and run this again: what was found "
@@ -75,6 +76,12 @@ class Cluster:
 
     def close(self) -> None:
         self._client.close(timeout=CONNECT_S)
+
+    def _lacks(self, why: object) -> ConfigError:
+        return ConfigError(
+            f"--dask {self._address}: the cluster cannot do this work ({why}); its scheduler and every worker need rgbd-calib. "
+            "Install it where they run, the same version as here"
+        )
 
     def _tell(self) -> None:
         if not self._waited and not self._client.nthreads():
