@@ -14,6 +14,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import dump_yaml, load_yaml, write_text
 from rgbd_calib.io.schemas import DepthBiasModel, IntrinsicsModel, RigModel, parse
+from rgbd_calib.io.tables import short
 from rgbd_calib.types import DepthBias, Rig, RigCamera
 
 _KNOWN = ("intrinsics", "T_world_color", "rotation_wxyz", "translation_m", "covariance", "depth_bias")
@@ -86,7 +87,7 @@ def read_rig(path: Path) -> Rig:
         )
     reference = model.reference or next(iter(cameras))
     if reference not in cameras:
-        raise ConfigError(f"{path}: reference: '{reference}' seen, one of {', '.join(cameras)} needed")
+        raise ConfigError(f"{path}: reference: {short(reference)} seen, one of {', '.join(cameras)} needed")
     return Rig(reference, cameras, model.quality, model.provenance)
 
 
