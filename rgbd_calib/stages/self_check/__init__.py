@@ -1,9 +1,10 @@
 """Is the result what it says it is? Tests of a calibration's residuals against what its own covariance allows.
 
 Weights are estimated from the residuals, so that the sum of squares as a whole fits by construction. What the estimate
-does not absorb is tested: :mod:`.equations` has the score test and the deletion of frames, :mod:`.hypotheses` the errors
-that happen to rigs (a camera that moved, another lens, a board of another size, depth beside its colour, smooth fields over
-image and range), :mod:`.checks` what needs no equations, :mod:`.findings` from when on something is said.
+does not absorb is tested: :mod:`.hypotheses` has the errors that happen to rigs (a camera that moved, another lens, a board
+of another size, depth beside its colour, smooth fields over image and range), :mod:`.equations` the score test that weighs
+each (:mod:`.hypothesis`), :mod:`.outcomes` the best explanation of what failed, :mod:`.deletion` parts of the recording held
+out, :mod:`.checks` what needs no equations, :mod:`.findings` from when on something is said.
 """
 
 from rgbd_calib.stages.self_check.checks import (
@@ -17,12 +18,11 @@ from rgbd_calib.stages.self_check.checks import (
     check_votes,
     group_ratios,
 )
+from rgbd_calib.stages.self_check.deletion import Deletion, delete
 from rgbd_calib.stages.self_check.equations import (
     NO_MOMENT,
-    Deletion,
     Equations,
     Score,
-    delete,
     score_test,
 )
 from rgbd_calib.stages.self_check.findings import Finding, SelfCheck, SelfCheckParams

@@ -12,19 +12,9 @@ With C the inverse of the normal equations, priors included, and M = I - J C J',
 not independent (the sandwich of the bundle's own covariance). a is exactly what a new linear solution with A added would
 give. Only products of each view's rows are kept, so that the size of a test does not depend on the number of corners.
 
-Taking frames away works on the same equations. With the boards eliminated, each frame f adds S_f to the reduced normal
-equations S and g_f to their gradient, so that without the frames F
-
-    x_(-F) = x - (S - S_F)^-1 (g - g_F)
-
-which is the deletion formula of linear regression for groups (Cook, Weisberg) and one Gauss-Newton step of a real refit.
-At x_(-F) the frames F have the gradient h = g_F + S_F (x_(-F) - x). If all frames are of one rig, its variance is
-B_F + S_F Cov_(-F) S_F, B_F the frames' own information with the excess, and h' Var(h)^+ h ~ chi2(rank).
-
 References
 ----------
 C. R. Rao, Large sample tests of statistical hypotheses, Math. Proc. Camb. Phil. Soc. 44(1), 1948.
-R. D. Cook, S. Weisberg, Residuals and Influence in Regression, Chapman and Hall, 1982, chapters 2 and 3.
 """
 
 from __future__ import annotations
@@ -130,7 +120,13 @@ class Equations:
 
     def weighed(self) -> Equations:
         """The same with the excess that its residuals show."""
-        return replace(self, excess=pose_excess(self))
+        return self.with_excess(pose_excess(self))
+
+    def with_excess(self, excess: FloatArray) -> Equations:
+        """The same with another excess; what does not depend on it is not computed again."""
+        other = replace(self, excess=excess)
+        other.__dict__.update({k: v for k, v in self.__dict__.items() if k in _WITHOUT_EXCESS})
+        return other
 
     @property
     def freedom(self) -> int:
@@ -223,6 +219,20 @@ class Equations:
         """(P, P), the excess counted."""
         honest: FloatArray = self.covariance + self.covariance @ self.frame_excess.sum(axis=0) @ self.covariance
         return honest
+
+
+_WITHOUT_EXCESS = (
+    "by_model",
+    "low_by_model",
+    "W",
+    "V_inv",
+    "board_gradient",
+    "frame_information",
+    "frame_gradient",
+    "information",
+    "covariance",
+    "step",
+)
 
 
 def invert(S: FloatArray) -> FloatArray:
@@ -356,34 +366,3 @@ def clear_effect(s: FloatArray, variance: FloatArray, B: FloatArray, effect: Flo
     sizes, axes = np.linalg.eigh(BL.T @ effect @ BL)
     parts = axes.T @ y
     return float(np.sqrt(np.sum((np.maximum(sizes, 0) * parts**2)[np.abs(parts) > CLEAR_SIGMAS])))
-
-
-@dataclass(frozen=True)
-class Deletion:
-    """The solution without some frames, and how well those frames agree with it."""
-
-    step: FloatArray
-    """(P,), x_(-F) - x."""
-    covariance: FloatArray
-    """(P, P), of x_(-F)."""
-    statistic: float
-    freedom: int
-    p: float
-
-
-def delete(eq: Equations, gone: IntArray) -> Deletion:
-    """Take the boards `gone`, (F,) bool, away."""
-    S_gone, g_gone = eq.frame_information[gone].sum(axis=0), eq.frame_gradient[gone].sum(axis=0)
-    left = invert(eq.information - S_gone) * np.outer(eq.free, eq.free)
-    gradient = eq.frame_gradient.sum(axis=0) + eq.prior_gradient * eq.free
-    step = -left @ (gradient - g_gone)
-    extra = eq.frame_excess
-    covariance = left + left @ extra[~gone].sum(axis=0) @ left
-    h = g_gone + S_gone @ step
-    variance = S_gone + extra[gone].sum(axis=0) + S_gone @ covariance @ S_gone
-    scale = 1 / np.sqrt(np.maximum(np.diag(variance), 1e-300))
-    values, vectors = np.linalg.eigh(variance * np.outer(scale, scale))
-    kept = values > 1e-8 * values[-1]
-    statistic = float(np.sum((vectors[:, kept].T @ (scale * h)) ** 2 / values[kept]))
-    freedom = int(kept.sum())
-    return Deletion(step, covariance, statistic, freedom, float(chi2.sf(statistic, freedom)))

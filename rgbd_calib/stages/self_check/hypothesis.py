@@ -56,10 +56,10 @@ class Hypothesis:
         variances of pose parts rest on few views, those of single corners on many: the degrees of freedom are those of
         the mixture (F. Satterthwaite, Biometrics Bulletin 2(6), 1946).
         """
-        score = self.test(replace(eq, excess=self.accepted(eq).excess))
+        score = self.test(eq.with_excess(self.accepted(eq).excess))
         if not score.freedom:
             return score
-        without = self.test(replace(eq, excess=np.zeros_like(eq.excess)))
+        without = self.test(eq.with_excess(np.zeros_like(eq.excess)))
         share = 1 - float(np.trace(without.covariance) / np.trace(score.covariance))
         freedom = eq.freedom / max(share, 1e-3) ** 2
         return replace(score, p=float(f.sf(score.statistic / score.freedom, score.freedom, freedom)))
