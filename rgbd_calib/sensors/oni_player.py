@@ -39,7 +39,7 @@ def play(path: Path, redist: Path | None) -> Iterator[OniHead | SensorFrame]:
     CalibrationError, ConfigError
         There is no runtime, it does not open the file, or the file ends it.
     """
-    context = multiprocessing.get_context(START)
+    context: Any = multiprocessing.get_context(START)
     ours, theirs = context.Pipe(duplex=False)
     process = context.Process(target=_play, args=(str(path.absolute()), redist, theirs), daemon=True)
     process.start()
