@@ -78,6 +78,9 @@ class RosBag:
         with _faults(self.name):
             reader = AnyReader([self._path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             reader.open()
+            if not all(isinstance(text, str) for c in reader.connections for text in (c.topic, c.msgtype)):
+                reader.close()
+                raise ValueError("a topic whose name is no text")  # SQLite keeps bytes and nothing in columns of text
         try:
             yield reader
         finally:
