@@ -253,7 +253,9 @@ def growth(path: Path, repeats: int) -> str:
         slopes.append(np.polyfit(np.log(values[-3:]), np.log(seconds[-3:]), 1)[0])
         ax.loglog(values, seconds, "o-")
         ax.set(xlabel=name, ylabel="seconds", title=f"exponent at the end {slopes[-1]:.2f}")
-        ax.grid(alpha=0.3, which="both")
+        ax.set_xticks(values, [f"{v:,}" for v in values], minor=False)
+        ax.set_xticks([], minor=True)
+        ax.grid(alpha=0.3)
     figure.savefig(path, dpi=80)
     return f"time grows as points^{slopes[0]:.2f} and cameras^{slopes[1]:.2f} ({path})"
 
