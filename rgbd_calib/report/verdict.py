@@ -54,8 +54,8 @@ def judge(quality: Mapping[str, Any], missing: Sequence[str], depth_noise_mm: fl
         )
     if scale := quality.get("self_check", {}).get("scale"):
         reasons.append(
-            f"Distances as such rest on the board: by the depth its squares are {scale['percent']:+.2f} ± "
-            f"{scale['sd_percent']:.2f} % from what was stated, or {_mm(10 * scale['sd_percent'] * scale['distance_m'])} at "
+            f"Distances as such rest on the board: by the depth its squares are {round(scale['percent'], 3) + 0.0:+.3f} ± "
+            f"{scale['sd_percent']:.3f} % from what was stated, or {_mm(10 * scale['sd_percent'] * scale['distance_m'])} at "
             f"{scale['distance_m']:.1f} m (one sigma)."
         )
     weak, advice = _weaknesses(quality)
