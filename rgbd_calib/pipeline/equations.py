@@ -34,20 +34,13 @@ def equations_of(solved: BundleResult, board: Board, moments: Sequence[str]) -> 
     cameras, frames = obs.camera[kept], np.unique(obs.frame[kept], return_inverse=True)[1]
     at = {name: k for k, name in enumerate(moments)}
     of_frame = np.array([at.get(name, NO_MOMENT) for name in solved.frames])
-    n_cam, P = solved.state.n_camera, solved.state.n_global
-    index = np.concatenate(
-        [
-            cameras[:, None] * n_cam + np.arange(n_cam),
-            np.broadcast_to(np.arange(P - N_BOW, P), (len(cameras), N_BOW)),
-        ],
-        axis=1,
-    )
-    local = _names(n_cam)
+    index = solve.columns(solved.state, cameras)
+    local = _names(solved.state.n_camera)
     products = [
         _products(solved, board, kept[i : i + VIEWS_AT_ONCE], local) for i in range(0, len(kept), VIEWS_AT_ONCE)
     ]
     gram, score, low, size, low_score = (np.concatenate([part[k] for part in products]) for k in range(5))
-    z_m = model.points_in_color(solved.state, _some(obs, kept), board)[1][..., 2]
+    z_m = model.points_in_color(solved.state, obs.only(kept), board)[1][..., 2]
     seen = obs.has_pixel[kept]
     eq = Equations(
         solved.cameras,
@@ -88,10 +81,6 @@ def _thinned(solved: BundleResult) -> IntArray:
     return views[np.isin(obs.frame[views], np.concatenate([shared, alone]))]
 
 
-def _some(obs: Observations, views: IntArray) -> Observations:
-    return Observations(**{name: getattr(obs, name)[views] for name in obs.__dataclass_fields__})
-
-
 def _names(n_camera: int) -> Mapping[str, slice]:
     sizes = {
         "pose": 6,
@@ -116,7 +105,7 @@ def _products(
     solved: BundleResult, board: Board, views: IntArray, local: Mapping[str, slice]
 ) -> tuple[FloatArray, ...]:
     """Gram matrices, scores, pose parts and sizes of some views, and the pose parts of their residuals."""
-    obs, state, weights = _some(solved.obs, views), solved.state, solved.weights
+    obs, state, weights = solved.obs.only(views), solved.state, solved.weights
     lin = model.linearize(state, obs, board)
     V, N, _, G0 = lin.J.shape
     A = np.zeros((V, N, 3, max(part.stop for part in local.values())))

@@ -47,8 +47,11 @@ def of_calibration(
     stated_mm: float,
     params: SelfCheckParams,
 ) -> dict[str, Any]:
-    """What the checks say of a calibration, for its quality; `solution` is None where nothing was refined."""
-    if isinstance(solution, BundleResult) and not solution.state.freed.any():
+    """What the checks say of a calibration, for its quality; `solution` is None where nothing was refined.
+
+    A bundle is checked with its rigid board, also where its structure was freed afterwards.
+    """
+    if isinstance(solution, BundleResult):
         try:
             check = check_bundle(solution, board, views, association, moments, stated_mm, params)
         except np.linalg.LinAlgError as error:

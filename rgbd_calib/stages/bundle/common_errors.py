@@ -24,7 +24,7 @@ import numpy as np
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.bundle import solve
 from rgbd_calib.stages.bundle.model import Observations, State
-from rgbd_calib.stages.bundle.solve import Covariance, Prior, Weights
+from rgbd_calib.stages.bundle.solve import Covariance, System, Weights
 from rgbd_calib.types import Board, IntArray
 
 GRID = (8, 6)
@@ -51,11 +51,11 @@ def common_errors(
     obs: Observations,
     board: Board,
     weights: Weights,
-    prior: Prior,
+    system: System,
     cov: Covariance,
     sizes_px: FloatArray,
 ) -> CommonErrors:
-    """Estimate what residuals share at the minimum; `sizes_px` is (C, 2), width and height of each camera's image."""
+    """Estimate what residuals share at the minimum, from its equations; `sizes_px` (C, 2): width and height of the images."""
     cells = _cells(obs, sizes_px)
     K, F, P = len(sizes_px) * N_CELLS, len(state.T_parent_board), state.n_global
     n, total, in_pose = np.zeros(K), np.zeros(K), np.zeros(K)
@@ -79,7 +79,6 @@ def common_errors(
             np.add.at(sums, which.ravel(), Q[view, place])
             in_pose += (ratio**2 - 1) * np.bincount(pairs[1], np.sum(sums**2, axis=1), minlength=K)
     of_depth = np.arange(K) % N_CELLS >= N_CELLS - RANGE_CELLS
-    system = solve.build(state, obs, board, weights, prior)
     V_inv = np.linalg.inv(system.V)
     reduced = by_global - np.einsum("fpi,fki->kp", system.W @ V_inv, by_structure, optimize=True)
     moved = by_global @ cov.cameras + np.einsum("fpi,fki->kp", cov.cross, by_structure, optimize=True)  # A^-1 s_k

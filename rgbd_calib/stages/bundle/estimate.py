@@ -164,10 +164,11 @@ def _conclude(
     held = replace(prior, free=prior.free & ~seen.undetermined)
     restart = solve.with_values(state, seen.undetermined, prior)
     final = solve.minimize(restart, obs, board, weights, held, params.max_iterations, params.tolerance)
-    cov = solve.covariance(solve.build(final.state, obs, board, weights, prior), prior.free)
+    system = solve.build(final.state, obs, board, weights, prior)
+    cov = solve.covariance(system, prior.free)
     honest = solve.honest_covariance(cov, final.state, obs, board, weights, prior)
     sizes_px = np.array([[own.intrinsics.width, own.intrinsics.height] for own in priors.values()], float)
-    common = common_errors(final.state, obs, board, weights, prior, cov, sizes_px)
+    common = common_errors(final.state, obs, board, weights, system, cov, sizes_px)
     pixel, depth = model.residuals(final.state, obs, board)
     return {
         "state": final.state,

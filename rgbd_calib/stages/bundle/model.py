@@ -70,7 +70,7 @@ class Observations:
         """The same views with other masks."""
         return replace(self, has_pixel=has_pixel, has_depth=has_depth)
 
-    def only(self, views: slice) -> Observations:
+    def only(self, views: slice | IntArray) -> Observations:
         """Some of the views."""
         return Observations(**{field.name: getattr(self, field.name)[views] for field in fields(self)})
 

@@ -216,21 +216,24 @@ class Block:
         return np.stack(out)
 
 
+def columns(state: State, camera: IntArray) -> IntArray:
+    """Global parameters (n, G - D) of the local columns of views by these cameras (n,): the camera's own, and the bow."""
+    own = camera[:, None] * state.n_camera + np.arange(state.n_camera)
+    bow = np.arange(state.n_global - N_BOW, state.n_global)
+    return np.concatenate([own, np.broadcast_to(bow, (len(own), N_BOW))], axis=1)
+
+
 def blocks(state: State, obs: Observations, board: Board, weights: Weights) -> Iterator[Block]:
     """The equations of VIEWS_AT_ONCE views after the other, so that memory does not grow with the recording."""
     w_pixel, w_depth = scales(obs, weights)
     w = np.stack([w_pixel, w_pixel, w_depth], axis=-1)
-    n_cam = state.n_camera
-    bow = np.arange(state.n_global - N_BOW, state.n_global)
     for first in range(0, len(obs.camera), VIEWS_AT_ONCE):
         views = slice(first, first + VIEWS_AT_ONCE)
         some = obs.only(views)
         lin = model.linearize(state, some, board)
-        own = some.camera[:, None] * n_cam + np.arange(n_cam)
-        columns = np.concatenate([own, np.broadcast_to(bow, (len(own), N_BOW))], axis=1)
         J = lin.J
         J *= w[views, :, :, None]
-        yield Block(views, some.camera, some.frame, columns, J, lin.residual * w[views])
+        yield Block(views, some.camera, some.frame, columns(state, some.camera), J, lin.residual * w[views])
 
 
 @dataclass(frozen=True)
