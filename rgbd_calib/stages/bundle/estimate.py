@@ -13,10 +13,10 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.bundle import gross, model, observability, solve, variance
 from rgbd_calib.stages.bundle.common_errors import common_errors
 from rgbd_calib.stages.bundle.model import Observations, State
-from rgbd_calib.stages.bundle.params import N_WEAK_BIAS, BundleParams, CameraPrior, Round
+from rgbd_calib.stages.bundle.params import BundleParams, CameraPrior, Round
 from rgbd_calib.stages.bundle.result import BundleResult
 from rgbd_calib.stages.bundle.solve import Prior, Weights
-from rgbd_calib.stages.bundle.start import depth_ranges, prior_of, start
+from rgbd_calib.stages.bundle.start import bias_terms, depth_ranges, prior_of, start
 from rgbd_calib.types import Board, PlacedView
 
 
@@ -44,7 +44,7 @@ def bundle(
     params = params or BundleParams()
     cameras = tuple(priors)
     depth_range = depth_ranges(views, priors)
-    n_bias = max([N_WEAK_BIAS, *(len(p.bias.coefficients) for p in priors.values() if p.bias is not None)])
+    n_bias = bias_terms(priors)
     all_obs, frames = model.observe(views, board, cameras, depth_range, n_bias)
     state = start(views, frames, all_obs, priors, T_world_color, n_bias)
     prior = prior_of(state, all_obs, priors, reference, params)

@@ -17,8 +17,8 @@ from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry.selection import most_informative
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.bundle import model, solve, variance
-from rgbd_calib.stages.bundle.params import N_WEAK_BIAS, BundleParams, CameraPrior
-from rgbd_calib.stages.bundle.start import depth_ranges, prior_of, start
+from rgbd_calib.stages.bundle.params import BundleParams, CameraPrior
+from rgbd_calib.stages.bundle.start import bias_terms, depth_ranges, prior_of, start
 from rgbd_calib.types import Board, IntArray, PlacedView
 
 POSE_SD = 1.0
@@ -109,7 +109,7 @@ class _Equations:
         params: BundleParams,
     ) -> None:
         every = [*views, *alone]
-        n_bias = max([N_WEAK_BIAS, *(len(p.bias.coefficients) for p in priors.values() if p.bias is not None)])
+        n_bias = bias_terms(priors)
         obs, self.frames = model.observe(every, board, tuple(priors), depth_ranges(every, priors), n_bias)
         state = start(every, self.frames, obs, priors, T_world_color, n_bias)
         prior = prior_of(state, obs, priors, reference, params)

@@ -29,6 +29,11 @@ def depth_ranges(views: Sequence[PlacedView], priors: Mapping[str, CameraPrior])
     return np.array(ranges)
 
 
+def bias_terms(priors: Mapping[str, CameraPrior]) -> int:
+    """Coefficients of the depth bias that every camera's parameters have room for."""
+    return max([N_WEAK_BIAS, *(len(p.bias.coefficients) for p in priors.values() if p.bias is not None)])
+
+
 def start(
     views: Sequence[PlacedView],
     frames: tuple[str, ...],
