@@ -21,7 +21,9 @@ _WEB_PORT = 9090
     "--color", type=click.Choice(["image", "camera"]), default="camera", show_default=True, help="Of the clouds."
 )
 @click.option("--stride", type=click.IntRange(1), default=2, show_default=True, help="Show every n-th point.")
-@click.option("--save", type=click.Path(path_type=Path), help="Write a .rrd file instead of opening the viewer.")
+@click.option(
+    "--save", type=click.Path(path_type=Path), help="Write a .rrd file, made in memory, instead of opening the viewer."
+)
 @click.option("--serve", is_flag=True, help="Serve the viewer to a browser instead, until Ctrl-C.")
 @overwrite_option
 def command(
@@ -77,13 +79,10 @@ def command(
         stream.flush()
 
     if save is not None:
+        encoded = stream.binary_stream()  # in memory: rerun's own writer may wait for ever where the disk is full
         with whole_file(save) as temporary:
-            try:
-                stream.save(temporary)
-                log()
-                stream.disconnect()
-            except RuntimeError as error:  # of rerun's own writer
-                raise ConfigError(f"{save}: could not be written ({error}). Is the disk full? Free space") from error
+            log()
+            temporary.write_bytes(encoded.read())
         say(f"{len(read.cameras)} cameras -> {save}. Open it with: rerun {save}")
     elif serve:
         _serve(stream, log)
