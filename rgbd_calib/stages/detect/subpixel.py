@@ -3,11 +3,16 @@ r"""Corners of a checkerboard to a few hundredths of a pixel, and which of them 
 First the gradients: cv2.cornerSubPix, in a window as wide as the squares allow. Then a model of the brightness around a
 corner c, fitted by least squares (Levenberg-Marquardt) to the pixels of half a square to each side:
 
-    I(x) = a + g . (x - c) + b erf(n1 . (x - c) / (sqrt(2) s)) erf(n2 . (x - c) / (sqrt(2) s))
+    I(x) = [1 + g . (x - c)] [a + b erf(n1 . (x - c) / (sqrt(2) s)) erf(n2 . (x - c) / (sqrt(2) s))]
 
-two edges through c with normals n1, n2, blurred by s, on a background that may rise by g. It uses all pixels along the
-edges, not only where both gradients are strong, and so has less than half the error of the gradients alone; both leave
-errors that are independent from corner to corner, other than the finders, which move whole boards by up to 0.3 px.
+two edges through c with normals n1, n2, blurred by s, in a light that rises by g. It uses all pixels along the edges, not
+only where both gradients are strong, and so has less than half the error of the gradients alone; both leave errors that
+are independent from corner to corner, other than the finders, which move whole boards by up to 0.3 px.
+
+Without g all corners would be drawn to the light together, and that is what moves a pose. The board is lit as a whole: g is
+the median of what the corners have, held in the last rounds, so that it costs no corner its precision. What is left of it
+is the lens's: blurring light that rises by g' moves the pattern by -g' s^2 (the blur of x f is x times the blur of f plus
+s^2 times its slope), and a camera encodes light by its 1 / GAMMA-th power, so that g' = GAMMA g.
 
 A corner is left out where this model does not explain the pixels (a finger, a highlight), or where it does not lie
 with the others: corners of a plane are a homography of the grid, and lens and bow add a smooth part, here a cubic.
@@ -27,7 +32,9 @@ MODEL_SQUARES = 0.45
 """The same for the model, along each side of the square on its own."""
 WINDOW_MAX_PX = 10.0
 """Beyond it a lens bends the squares' sides: the errors grow again, and not independently."""
-ROUNDS = 6
+ROUNDS, LAST_ROUNDS = 4, 3
+GAMMA = 2.2
+"""Of the curve by which cameras encode light."""
 MIN_EXPLAINED = 0.8
 """Share of the variance around a corner that the model must explain."""
 GROSS_PX = 0.3
@@ -56,37 +63,67 @@ def refine(
     start = np.where(
         np.linalg.norm(start - corners_px, axis=1, keepdims=True) < _shorter(sides)[:, None] / 2, start, corners_px
     )
-    fitted, explained = fit_crossings(gray, start, sides, clear)
+    fitted, explained, light = fit_crossings(gray, start, sides, clear)
     gross, expected = outliers(grid, fitted, _shorter(sides), explained >= MIN_EXPLAINED)
     again = np.flatnonzero(gross | (explained < MIN_EXPLAINED))
     if len(again):  # a wrong start: look where the other corners have it
-        fitted[again], explained[again] = fit_crossings(gray, expected[again], sides[again], clear)
+        fitted[again], explained[again], _ = fit_crossings(gray, expected[again], sides[again], clear, light)
         gross, _ = outliers(grid, fitted, _shorter(sides), explained >= MIN_EXPLAINED)
     return fitted, (explained >= MIN_EXPLAINED) & ~gross
 
 
 def fit_crossings(
-    gray: np.ndarray, start_px: FloatArray, sides: FloatArray, clear: float | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Corners (n, 2), px, of the model in the module's head, and the share of the variance that it explains (n,).
+    gray: np.ndarray,
+    start_px: FloatArray,
+    sides: FloatArray,
+    clear: float | None = None,
+    light: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Corners (n, 2), px, of the model in the module's head, the share of the variance that it explains (n,), and g (2,).
 
     Parameters
     ----------
     start_px : (n, 2).
     sides : (n, 2, 2), px, the sides of a square at each corner: [:, 0] along the columns, [:, 1] along the rows.
+    light : g (2,), 1/px, where it is known.
     """
     origin = np.round(start_px).astype(int)
     dx, dy, value, weight = _windows(gray, start_px, origin, sides, clear)
     p = _first_guess(start_px - origin, sides, dx, dy, value, weight)
+    if light is None:
+        p, _ = _descend(p, np.arange(9), ROUNDS, dx, dy, value, weight)
+        light = np.median(p[:, 6:8], axis=0).astype(float)
+    p[:, 6:8] = light
+    p, rest = _descend(p, np.array([0, 1, 2, 3, 4, 5, 8]), LAST_ROUNDS, dx, dy, value, weight)
+    fitted = origin + p[:, :2].astype(float)
+    fitted += GAMMA * light * np.exp(2 * np.median(p[:, 8].astype(float)))
+    middle = (value * weight).sum(axis=1) / weight.sum(axis=1)
+    total = (((value - middle[:, None]) * weight) ** 2).sum(axis=1)
+    explained = 1 - (rest**2).sum(axis=1) / np.maximum(total, 1e-9)
+    moved = np.linalg.norm(fitted - start_px, axis=1)
+    return fitted, np.where(moved < _shorter(sides) / 2, explained, 0.0), light
+
+
+def _descend(
+    p: np.ndarray,
+    free: np.ndarray,
+    rounds: int,
+    dx: np.ndarray,
+    dy: np.ndarray,
+    value: np.ndarray,
+    weight: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters (n, 9) after some rounds of Levenberg-Marquardt on the free ones, and the weighted residuals (n, m)."""
     damping = np.full(len(p), 1e-3)
     brightness, jacobian = _crossing(p, dx, dy)
     rest = (value - brightness) * weight
-    for _ in range(ROUNDS):
-        weighted = jacobian * weight[..., None]
+    for _ in range(rounds):
+        weighted = jacobian[..., free] * weight[..., None]
         normal = weighted.transpose(0, 2, 1) @ weighted
         diagonal = np.einsum("nii->ni", normal)
-        damped = normal + np.einsum("ni,ij->nij", damping[:, None] * diagonal + 1e-6, np.eye(9))
-        trial = p + np.linalg.solve(damped, np.einsum("nmi,nm->ni", weighted, rest)[..., None])[..., 0]
+        damped = normal + np.einsum("ni,ij->nij", damping[:, None] * diagonal + 1e-6, np.eye(len(free)))
+        trial = p.copy()
+        trial[:, free] += np.linalg.solve(damped, np.einsum("nmi,nm->ni", weighted, rest)[..., None])[..., 0]
         trial[:, 8] = np.clip(trial[:, 8], *_LOG_BLUR)
         brightness, trial_jacobian = _crossing(trial, dx, dy)
         trial_rest = (value - brightness) * weight
@@ -95,11 +132,7 @@ def fit_crossings(
         rest = np.where(better[:, None], trial_rest, rest)
         jacobian = np.where(better[:, None, None], trial_jacobian, jacobian)
         damping = np.where(better, damping / 10, damping * 10)
-    middle = (value * weight).sum(axis=1) / weight.sum(axis=1)
-    total = (((value - middle[:, None]) * weight) ** 2).sum(axis=1)
-    explained = 1 - (rest**2).sum(axis=1) / np.maximum(total, 1e-9)
-    moved = np.linalg.norm(origin + p[:, :2] - start_px, axis=1)
-    return origin + p[:, :2].astype(float), np.where(moved < _shorter(sides) / 2, explained, 0.0)
+    return p, rest
 
 
 def outliers(
@@ -209,14 +242,16 @@ def _crossing(p: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> tuple[np.ndarray
     root = np.float32(np.sqrt(0.5))
     e1, e2 = erf(d1 * root), erf(d2 * root)
     slope = np.float32(np.sqrt(2 / np.pi))
-    f1, f2 = b * slope * np.exp(-(d1**2) / 2) * e2 / blur, b * slope * np.exp(-(d2**2) / 2) * e1 / blur
+    light, board = 1 + gx * x + gy * y, a + b * e1 * e2
+    steep = light * b * slope / blur
+    f1, f2 = steep * np.exp(-(d1**2) / 2) * e2, steep * np.exp(-(d2**2) / 2) * e1
     jacobian = np.empty((*x.shape, 9), np.float32)
-    jacobian[..., 0] = f1 * s1 - f2 * s2 - gx
-    jacobian[..., 1] = f2 * c2 - f1 * c1 - gy
+    jacobian[..., 0] = f1 * s1 - f2 * s2 - board * gx
+    jacobian[..., 1] = f2 * c2 - f1 * c1 - board * gy
     jacobian[..., 2] = -f1 * (x * c1 + y * s1)
     jacobian[..., 3] = f2 * (x * c2 + y * s2)
-    jacobian[..., 4] = 1
-    jacobian[..., 5] = e1 * e2
-    jacobian[..., 6], jacobian[..., 7] = x, y
+    jacobian[..., 4] = light
+    jacobian[..., 5] = light * e1 * e2
+    jacobian[..., 6], jacobian[..., 7] = board * x, board * y
     jacobian[..., 8] = -blur * (f1 * d1 + f2 * d2)
-    return a + gx * x + gy * y + b * e1 * e2, jacobian
+    return light * board, jacobian
