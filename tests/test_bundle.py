@@ -24,7 +24,7 @@ from rgbd_calib.stages.bundle import (
     solve,
     variance,
 )
-from rgbd_calib.stages.bundle.start import depth_ranges, prior_of, start
+from rgbd_calib.stages.bundle.start import depth_ranges, depth_units, prior_of, start
 from rgbd_calib.synthetic.views import ViewNoise, true_views
 from rgbd_calib.types import Board, DepthBias, PlacedView, Rig, RigCamera
 
@@ -84,7 +84,7 @@ def problem(seed: int) -> tuple[model.State, model.Observations, Board, solve.We
     views[0] = replace(views[0], view=replace(views[0].view, frame="alone"))
     priors = priors_of(rig, rng)
     ranges = depth_ranges(views, priors)
-    obs, frames = model.observe(views, board, tuple(rig.cameras), ranges, 3)
+    obs, frames = model.observe(views, board, depth_units(priors), ranges, 3)
     T = {name: se3.retract(own.T_world_color, rng.normal(0, 0.003, 6)) for name, own in rig.cameras.items()}
     state = start(views, frames, obs, priors, T, 3)
     state = replace(state, bow_m=rng.normal(0, 1e-3, 3))
@@ -166,6 +166,27 @@ def test_depth_noise_that_is_smooth_over_the_board_is_seen_and_counted() -> None
     # an offset of 1e-3 z^2 shared by 54 corners of 0.7e-3: its part is sqrt(54) 1 / 0.7 = 10 times the rest
     assert result.weights.ratio_depth > 4
     assert white.weights.ratio_depth < 1.5
+
+
+def test_depth_that_is_rounded_more_than_noisy_weighs_less() -> None:
+    rng = np.random.default_rng(3)
+    rig = sv.arc(2, biased=True)
+    views, priors = draw(rig, sv.BOARD, 8, rng), priors_of(rig, rng)
+    T = {name: own.T_world_color for name, own in rig.cameras.items()}
+
+    def with_unit(unit_m: float) -> BundleResult:
+        of_unit = {name: replace(prior, depth_unit_m=unit_m) for name, prior in priors.items()}
+        return bundle(views, sv.BOARD, of_unit, T, "C1")
+
+    fine, coarse = with_unit(1e-6), with_unit(0.01)
+    assert fine.weights.robust_depth.max(axis=1) == pytest.approx(1, abs=1e-6)
+    # noise of 0.7e-3 z^2, as estimated from some 800 depths, and on top a rounding of 10 mm / sqrt(12)
+    z2_m2 = np.mean(coarse.obs.depth_m**4, axis=1) ** 0.5
+    noise_m, rounding_m = coarse.weights.ratio_depth * 0.7e-3 * z2_m2, 0.01 / np.sqrt(12)
+    assert coarse.weights.robust_depth.max(axis=1) == pytest.approx(noise_m**2 / (noise_m**2 + rounding_m**2), rel=0.1)
+    assert np.all(
+        np.diag(coarse.covariance)[coarse.parameters("C2")][:6] > np.diag(fine.covariance)[fine.parameters("C2")][:6]
+    )
 
 
 @pytest.mark.parametrize("kind", ["moved", "late depth", "wrong corners", "hand"])

@@ -199,7 +199,7 @@ def prepare_views(
     check_depth_scale(posed, board, biases)
     association = associate(posed, board, reference, cameras, config.association)
     with_depth = [name for name in cameras if recording.depth_files[name]]
-    association, selection = max_views.select(association, lenses, biases, cameras, with_depth, board, config)
+    association, selection = max_views.select(association, lenses, biases, recording.cameras, with_depth, board, config)
     return Views(detections, lenses, biases, bias_origin, samples, filtered, association, selection)
 
 
@@ -260,7 +260,7 @@ def _refinement(config: Config) -> RefinementParams:
 def _bundle(views: Views, board: Board, recording: Recording, config: Config, reference: str) -> BundleResult:
     """The joint bundle over the recording's views and those of an intrinsic recording."""
     cameras = list(recording.cameras)
-    priors = max_views.bundle_priors(views.lenses, views.biases, cameras)
+    priors = max_views.bundle_priors(views.lenses, views.biases, recording.cameras)
     single = max_views.views_alone(views.lenses, views.biases, cameras, board, config)
     start = views.association.T_world_color
     return bundle([*views.association.views, *single], board, priors, start, reference, config.bundle)

@@ -10,6 +10,7 @@ import numpy as np
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.io.recording import CameraInfo
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.prepare import IntrinsicsSource
 from rgbd_calib.stages.association import AssociationResult
@@ -66,14 +67,18 @@ def told(quality: Mapping[str, Any]) -> str | None:
 
 
 def bundle_priors(
-    lenses: IntrinsicsSource, biases: Mapping[str, DepthBias], cameras: Sequence[str]
+    lenses: IntrinsicsSource, biases: Mapping[str, DepthBias], cameras: Mapping[str, CameraInfo]
 ) -> dict[str, CameraPrior]:
     """What is known of each camera before the bundle."""
     return {
         name: CameraPrior(
-            lenses.intrinsics[name], lenses.standard_deviations.get(name), name in lenses.results, biases.get(name)
+            lenses.intrinsics[name],
+            lenses.standard_deviations.get(name),
+            name in lenses.results,
+            biases.get(name),
+            depth_unit_m=info.depth_scale,
         )
-        for name in cameras
+        for name, info in cameras.items()
     }
 
 
@@ -94,7 +99,7 @@ def select(
     association: AssociationResult,
     lenses: IntrinsicsSource,
     biases: dict[str, DepthBias],
-    cameras: Sequence[str],
+    cameras: Mapping[str, CameraInfo],
     with_depth: Sequence[str],
     board: Board,
     config: Config,
@@ -111,7 +116,7 @@ def select(
         return association, None
     choice = choose_frames(
         association.views,
-        views_alone(lenses, biases, cameras, board, config),
+        views_alone(lenses, biases, list(cameras), board, config),
         board,
         bundle_priors(lenses, biases, cameras),
         association.T_world_color,

@@ -82,13 +82,15 @@ def update_camera(
     T_world_color = {c: camera.T_world_color for c, camera in known.items()}
     T_world_color[name] = _rough_pose(posed, board, T_world_color, name, config)
     placed, left_out = label_views(posed, board, T_world_color, config.association)
-    priors = {c: CameraPrior(lenses[c], None, False, biases.get(c), "all") for c in others}
+    units = {c: info.depth_scale for c, info in recording.cameras.items()}
+    priors = {c: CameraPrior(lenses[c], None, False, biases.get(c), "all", units[c]) for c in others}
     priors[name] = CameraPrior(
         lenses[name],
         source.standard_deviations.get(name),
         name in source.results,
         bias,
         "nothing" if own is None else "lens",
+        units[name],
     )
     single = _pose(source.views, board, lenses, biases, config) if own is None else []
     alone = [_alone(p) for p in single if p.view.camera == name]

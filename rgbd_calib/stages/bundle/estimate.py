@@ -16,7 +16,7 @@ from rgbd_calib.stages.bundle.model import Observations, State
 from rgbd_calib.stages.bundle.params import BundleParams, CameraPrior, Round
 from rgbd_calib.stages.bundle.result import BundleResult
 from rgbd_calib.stages.bundle.solve import Prior, Weights
-from rgbd_calib.stages.bundle.start import bias_terms, depth_ranges, prior_of, start
+from rgbd_calib.stages.bundle.start import bias_terms, depth_ranges, depth_units, prior_of, start
 from rgbd_calib.types import Board, PlacedView
 
 
@@ -45,7 +45,7 @@ def bundle(
     cameras = tuple(priors)
     depth_range = depth_ranges(views, priors)
     n_bias = bias_terms(priors)
-    all_obs, frames = model.observe(views, board, cameras, depth_range, n_bias)
+    all_obs, frames = model.observe(views, board, depth_units(priors), depth_range, n_bias)
     state = start(views, frames, all_obs, priors, T_world_color, n_bias)
     prior = prior_of(state, all_obs, priors, reference, params)
     weights = variance.initial(all_obs, len(cameras), params.sigma_2d_px, params.k_depth_per_m)

@@ -24,7 +24,7 @@ T_world_board by the opposite.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -59,6 +59,8 @@ class Observations:
     """(V, N), as measured; 1 where there is none."""
     cell_ratio: FloatArray
     """(V, N), depth pixels that a corner rests on, over the median of its camera; 1 where there are none."""
+    rounding_m: FloatArray
+    """(V,), deviation of a depth that is rounded to the camera's unit, unit / sqrt(12)."""
     powers: FloatArray
     """(V, N, B), 1, z, z^2, ... with z held to the range of the camera's depth bias."""
     has_pixel: IntArray
@@ -137,9 +139,10 @@ class Linearized:
 
 
 def observe(
-    views: Sequence[PlacedView], board: Board, cameras: Sequence[str], bias_range_m: FloatArray, n_bias: int
+    views: Sequence[PlacedView], board: Board, units_m: Mapping[str, float], bias_range_m: FloatArray, n_bias: int
 ) -> tuple[Observations, tuple[str, ...]]:
-    """Views as padded arrays, and the frame of each board pose; `bias_range_m` is (C, 2)."""
+    """Views as padded arrays, and the frame of each board pose; the depth's unit by camera; `bias_range_m` is (C, 2)."""
+    cameras, units = list(units_m), np.array(list(units_m.values()))
     frames = sorted({placed.view.frame for placed in views})
     n = max(len(placed.view.ids) for placed in views)
     V = len(views)
@@ -161,7 +164,18 @@ def observe(
     powers = np.asarray(polynomial.polyvander(np.clip(depth, low, high), n_bias - 1), np.float64)
     cell_ratio = _over_median(cells, camera_of)
     observations = Observations(
-        camera_of, frame_of, shared, points, corner, pixels, depth, cell_ratio, powers, has_pixel, has_depth
+        camera_of,
+        frame_of,
+        shared,
+        points,
+        corner,
+        pixels,
+        depth,
+        cell_ratio,
+        units[camera_of] / np.sqrt(12),
+        powers,
+        has_pixel,
+        has_depth,
     )
     return observations, tuple(frames)
 

@@ -68,6 +68,8 @@ class CameraPrior:
     bias: DepthBias | None
     held: Literal["nothing", "lens", "all"] = "nothing"
     """What is known exactly: intrinsics and depth bias, or the pose too (its start is the pose)."""
+    depth_unit_m: float = 0.001
+    """Depth comes in whole multiples of it."""
 
 
 @dataclass(frozen=True)

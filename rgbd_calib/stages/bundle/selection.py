@@ -18,7 +18,7 @@ from rgbd_calib.geometry.selection import most_informative
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.bundle import model, solve, variance
 from rgbd_calib.stages.bundle.params import BundleParams, CameraPrior
-from rgbd_calib.stages.bundle.start import bias_terms, depth_ranges, prior_of, start
+from rgbd_calib.stages.bundle.start import bias_terms, depth_ranges, depth_units, prior_of, start
 from rgbd_calib.types import Board, IntArray, PlacedView
 
 POSE_SD = 1.0
@@ -110,7 +110,7 @@ class _Equations:
     ) -> None:
         every = [*views, *alone]
         n_bias = bias_terms(priors)
-        obs, self.frames = model.observe(every, board, tuple(priors), depth_ranges(every, priors), n_bias)
+        obs, self.frames = model.observe(every, board, depth_units(priors), depth_ranges(every, priors), n_bias)
         state = start(every, self.frames, obs, priors, T_world_color, n_bias)
         prior = prior_of(state, obs, priors, reference, params)
         weights = variance.initial(obs, len(priors), params.sigma_2d_px, params.k_depth_per_m)

@@ -52,7 +52,7 @@ class Weights:
     robust_pixel: FloatArray
     """(V, N), 0 ... 1."""
     robust_depth: FloatArray
-    """(V, N)."""
+    """(V, N), and less in a view so near that its depth is rounded more than noisy."""
     Q_pixel: FloatArray
     """(V, 2 N, 6), zero columns where a view has less."""
     Q_depth: FloatArray

@@ -29,6 +29,11 @@ def depth_ranges(views: Sequence[PlacedView], priors: Mapping[str, CameraPrior])
     return np.array(ranges)
 
 
+def depth_units(priors: Mapping[str, CameraPrior]) -> dict[str, float]:
+    """Unit of each camera's depth, metres."""
+    return {name: prior.depth_unit_m for name, prior in priors.items()}
+
+
 def bias_terms(priors: Mapping[str, CameraPrior]) -> int:
     """Coefficients of the depth bias that every camera's parameters have room for."""
     return max([N_WEAK_BIAS, *(len(p.bias.coefficients) for p in priors.values() if p.bias is not None)])

@@ -4,6 +4,10 @@ Helmert's and Forstner's estimate of a variance from the residuals of its group:
 redundancy = residuals - tr(J Cov J'), what the fit absorbed. Groups: the pixels of each camera, off the pose part; the
 depth of each camera, off it; and for pixels and for depth the pose part of all views together (its ratio to the rest, at
 least 1). How the depth's variance falls with the size of a corner's cell is one exponent for all cameras.
+
+Depth comes in whole units, and neighbouring pixels of a board round alike: averaging a cell's pixels lowers their noise, not
+the rounding. So unit^2 / 12 is added to a corner's variance, in the weight of its whole view; that tells near the camera,
+where the noise is a fraction of the unit.
 """
 
 from __future__ import annotations
@@ -51,11 +55,13 @@ def update(state: State, obs: Observations, board: Board, weights: Weights, prio
     traces = solve.view_traces(cov, state, obs, board, weights)
     squares = solve.sums_of_squares(state, obs, board, weights)
     dims2, dims3 = (np.sum(np.any(Q != 0, axis=1), axis=1) for Q in (weights.Q_pixel, weights.Q_depth))
+    n3 = np.maximum(obs.has_depth.sum(axis=1), 1)
+    sum3 = np.sum(weights.robust_depth * obs.has_depth, axis=1)
     rows = np.stack(
         [
             2 * np.sum(weights.robust_pixel * obs.has_pixel, axis=1) - dims2,
             dims2,
-            np.sum(weights.robust_depth * obs.has_depth, axis=1) - dims3,
+            sum3 * (1 - dims3 / n3),
             dims3,
         ]
     )
@@ -72,7 +78,9 @@ def update(state: State, obs: Observations, board: Board, weights: Weights, prio
     off3 = _off_pose((depth / sigma3)[..., None], Q_depth)
     exponent = np.clip(weights.cell_exponent + _cell_slope(off3[..., 0], obs), 0.0, 1.0)
     robust_pixel = _huber(_off_pose(pixel, Q_pixel) / sigma_2d_px[obs.camera, None, None], huber)
-    robust_depth = _huber(off3, huber)
+    noise3_m2 = ratio3**2 * np.sum((sigma3 * obs.depth_m**2) ** 2 * obs.has_depth, axis=1) / n3
+    rounding = noise3_m2 / np.maximum(noise3_m2 + obs.rounding_m**2, 1e-30)
+    robust_depth = _huber(off3, huber) * rounding[:, None]
     return Weights(sigma_2d_px, k_depth, float(exponent), ratio2, ratio3, robust_pixel, robust_depth, Q_pixel, Q_depth)
 
 
