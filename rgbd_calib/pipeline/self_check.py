@@ -112,7 +112,7 @@ def check_bundle(
         "tests": [
             {
                 "test": t.hypothesis.name,
-                "camera": t.hypothesis.cameras[0] if t.hypothesis.cameras else None,
+                "camera": t.hypothesis.cameras[0] if len(t.hypothesis.cameras) == 1 else None,
                 "chi2": round(t.score.statistic, 2),
                 "freedom": t.score.freedom,
                 "p": float(f"{t.score.p:.2g}"),

@@ -17,7 +17,7 @@ SEEN_BY_PRIOR = 1e-9
 
 def hypotheses_of(eq: Equations, params: SelfCheckParams) -> list[Hypothesis]:
     """All that are tested."""
-    listed = list(_board(eq))
+    listed = [*_board(eq), *_registration_of_all(eq)]
     for c in range(len(eq.cameras)):
         listed += [*_over_time(eq, c, params), *_between_recordings(eq, c, params), *_sensor(eq, c), *_prior(eq, c)]
     return listed
@@ -121,6 +121,28 @@ def _between_recordings(eq: Equations, c: int, params: SelfCheckParams) -> Itera
         )
 
 
+_REGISTER = "Register depth to colour with the sensor's own software (capture does), or correct the registration"
+
+
+def _registration_of_all(eq: Equations) -> Iterator[Hypothesis]:
+    """Depth that nobody registered: the same in every camera, and in all of them together clearer than in one."""
+    with_depth = [c for c in range(len(eq.cameras)) if _seen(eq, "registration", eq.camera == c)]
+    where = np.isin(eq.camera, with_depth)
+    if len(with_depth) > 1:
+        yield Hypothesis(
+            "registration of all",
+            tuple(eq.cameras[c] for c in with_depth),
+            _columns(eq, "registration"),
+            where,
+            lambda s: (
+                f"In all cameras the depth image lies beside its colour image, by {s.estimate[0]:+.1f} px in u and "
+                f"{s.estimate[1]:+.1f} px in v in the mean, or {_mm(s)} at the board"
+            ),
+            _REGISTER,
+            _lateral(eq, where) * np.eye(2),
+        )
+
+
 def _sensor(eq: Equations, c: int) -> Iterator[Hypothesis]:
     """What the models of lens and depth cannot follow: fields over the image, the range, a depth image beside its colour."""
     name, mine = eq.cameras[c], eq.camera == c
@@ -134,7 +156,7 @@ def _sensor(eq: Equations, c: int) -> Iterator[Hypothesis]:
                 f"{name}'s depth image lies {s.estimate[0]:+.1f} px in u and {s.estimate[1]:+.1f} px in v beside its colour "
                 f"image, or {_mm(s)} at the board"
             ),
-            "Register depth to colour with the sensor's own software (capture does), or correct the registration",
+            _REGISTER,
             _lateral(eq, mine) * np.eye(2),
         )
         yield Hypothesis(
