@@ -9,9 +9,9 @@ import pytest
 from synthetic_views import BOARD, lens_of, without_depth
 
 from rgbd_calib.errors import CalibrationError
-from rgbd_calib.geometry import camera, se3, so3
+from rgbd_calib.geometry import camera, resection, se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
-from rgbd_calib.stages.board_pose import pose_view
+from rgbd_calib.stages.board_pose import BoardPoseParams, pose_view
 from rgbd_calib.types import Board, BoardView, DepthBias
 
 SMALL = Board(9, 6, 0.015)
@@ -79,6 +79,19 @@ def test_pixels_decide_where_they_can():
     other_way = 2 * np.mean(view.depth_m) - view.depth_m
     found = pose_view(replace(view, depth_m=other_way), BOARD, FAR, None)
     assert so3.angle_rad(found.T_color_face[:3, :3].T @ T[:3, :3]) < np.radians(1)
+
+
+def test_the_depth_is_asked_up_to_the_stated_difference_of_the_squares():
+    """Depth of the opposite slope turns the pose just above the difference that the pixels make, not just below it."""
+    T = tilted(BOARD, np.radians(25), 2.0)
+    view = view_of(BOARD, FAR, T, np.random.default_rng(0))
+    other_way = replace(view, depth_m=2 * np.mean(view.depth_m) - view.depth_m)
+    rays = camera.rays(FAR.vector, view.corners_px)
+    _, rms = resection.homography_pose(BOARD.corners_m()[view.ids][:, :2], rays)
+    difference = 2 * len(view.ids) * ((rms[1] / rms[0]) ** 2 - 1)
+    for share, turned in ((0.999, False), (1.001, True)):
+        found = pose_view(other_way, BOARD, FAR, None, BoardPoseParams(share * difference)).T_color_face
+        assert (so3.angle_rad(found[:3, :3].T @ T[:3, :3]) > np.radians(25)) == turned
 
 
 def test_a_part_of_the_board_is_enough():

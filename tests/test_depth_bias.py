@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.polynomial import polynomial
+from scipy.stats import norm
 
 from rgbd_calib.errors import CalibrationError
-from rgbd_calib.stages.depth_bias import DepthBiasParams, fit_depth_bias, fit_with_data
+from rgbd_calib.stages.depth_bias import DepthBiasParams, _fit, fit_depth_bias, fit_with_data
 
 C = np.array([0.012, -0.015, 0.004])
 
@@ -89,6 +90,21 @@ def test_chooses_an_order_that_follows_the_curve(order):
     assert len(bias.coefficients) - 1 >= order  # an order less leaves centimetres, of which sigma is a twentieth
     left_m = bias.correct(z_m) - z_m - polynomial.polyval(z_m, c)
     assert np.all(np.abs(left_m) < 5 * bias.standard_error(z_m))
+
+
+@pytest.mark.parametrize("order", [1, 3])
+def test_the_criterion_is_akaikes_with_the_small_sample_correction(order):
+    """Its definition: -2 log L at the likeliest curve and sigma, 2 p, and 2 p (p + 1) / (n - p - 1)."""
+    rng = np.random.default_rng(order)
+    n, p = 9, order + 2
+    z_m = np.linspace(0.6, 3.0, n)
+    bias_m = polynomial.polyval(z_m, C) + rng.normal(0, 1e-3, n) * z_m**2
+    fit = _fit(z_m, z_m + bias_m, order, 2.0)
+    left_m = bias_m - polynomial.polyval(z_m, fit.coefficients)
+    shape = (z_m / z_m.mean()) ** 2
+    sigma_m = shape * np.sqrt(np.mean((left_m / shape) ** 2))
+    akaike = -2 * norm.logpdf(left_m, 0, sigma_m).sum() + 2 * p + 2 * p * (p + 1) / (n - p - 1)
+    assert fit.criterion == pytest.approx(akaike - n * (1 + np.log(2 * np.pi)), abs=1e-9)
 
 
 def test_held_outside_the_range_of_the_data():
