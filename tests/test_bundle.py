@@ -164,8 +164,8 @@ def test_depth_noise_that_is_smooth_over_the_board_is_seen_and_counted() -> None
     result = solved(rig, draw(rig, sv.BOARD, 14, rng, smooth), sv.BOARD, rng)
     white = solved(rig, draw(rig, sv.BOARD, 14, rng), sv.BOARD, rng)
     # an offset of 1e-3 z^2 shared by 54 corners of 0.7e-3: its part is sqrt(54) 1 / 0.7 = 10 times the rest
-    assert result.weights.ratio_depth > 4
-    assert white.weights.ratio_depth < 1.5
+    assert result.weights.ratio_depth[0] > 4
+    assert white.weights.ratio_depth.max() < 1.5
 
 
 def test_depth_that_is_rounded_more_than_noisy_weighs_less() -> None:
@@ -182,7 +182,7 @@ def test_depth_that_is_rounded_more_than_noisy_weighs_less() -> None:
     assert fine.weights.robust_depth.max(axis=1) == pytest.approx(1, abs=1e-6)
     # noise of 0.7e-3 z^2, as estimated from some 800 depths, and on top a rounding of 10 mm / sqrt(12)
     z2_m2 = np.mean(coarse.obs.depth_m**4, axis=1) ** 0.5
-    noise_m, rounding_m = coarse.weights.ratio_depth * 0.7e-3 * z2_m2, 0.01 / np.sqrt(12)
+    noise_m, rounding_m = np.sqrt(np.mean(coarse.weights.ratio_depth**2)) * 0.7e-3 * z2_m2, 0.01 / np.sqrt(12)
     assert coarse.weights.robust_depth.max(axis=1) == pytest.approx(noise_m**2 / (noise_m**2 + rounding_m**2), rel=0.1)
     assert np.all(
         np.diag(coarse.covariance)[coarse.parameters("C2")][:6] > np.diag(fine.covariance)[fine.parameters("C2")][:6]

@@ -23,9 +23,8 @@ PIXEL_DEGREE, DEPTH_DEGREE, RANGE_DEGREE, SHAPE_DEGREE = 4, 3, 5, 4
 which the fourth degree catches what they miss; a depth sensor's field is smoother (a tilt, a bowl, an S)."""
 
 
-POSE_PARTS = np.array([0, 1, 2, 3, 3, 3, 4, 5, 5])
-"""What is alike in the pose part of a view: the board's shift along the camera's axes, each by itself, and its turns, in
-the pixels; its offset, and its tilts, in the depth."""
+POSE_PARTS = np.concatenate([solve.PIXEL_PARTS, solve.PIXEL_PARTS.max() + 1 + solve.DEPTH_PARTS])
+"""What is alike in the pose part of a view, in the pixels and in the depth."""
 
 
 def equations_of(solved: BundleResult, board: Board, moments: Sequence[str]) -> Equations:
@@ -129,11 +128,7 @@ def _products(
     w = np.stack([w_pixel, w_pixel, w_depth], axis=-1)
     rows, r = A * w[..., None], lin.residual * w
     flat = rows.reshape(V, 3 * N, -1)
-    R_parent_color = np.where(obs.shared[:, None, None], state.T_world_color[obs.camera][:, :3, :3], np.eye(3))
-    shifts = (rows[:, :, :2, local["board"]].reshape(V, 2 * N, 6)[..., 3:]) @ R_parent_color
-    Q_pixel = _in_order(weights.Q_pixel[views], shifts)
-    flat_depth = np.stack([np.ones((V, N)), obs.points_m[..., 0], obs.points_m[..., 1]], axis=-1) * (w[..., 2:] * by_z)
-    Q_depth = _in_order(weights.Q_depth[views], flat_depth)
+    Q_pixel, Q_depth = weights.Q_pixel[views], weights.Q_depth[views]
     in_pixel = Q_pixel.transpose(0, 2, 1) @ rows[:, :, :2].reshape(V, 2 * N, -1)
     in_depth = Q_depth.transpose(0, 2, 1) @ rows[:, :, 2]
     of_pixel = np.einsum("vnd,vn->vd", Q_pixel, r[:, :, :2].reshape(V, 2 * N))
@@ -148,12 +143,6 @@ def _products(
         in_m.transpose(0, 2, 1) @ in_m,
         np.concatenate([of_pixel, of_depth], axis=1),
     )
-
-
-def _in_order(Q: FloatArray, first: FloatArray) -> FloatArray:
-    """The same spaces with bases that begin with the columns of `first`, (V, n, k), one after the other."""
-    turned, _ = np.linalg.qr(Q.transpose(0, 2, 1) @ first, mode="complete")
-    return Q @ turned
 
 
 def _scale_noise(by_bias: FloatArray, residual: FloatArray, obs: Observations) -> None:

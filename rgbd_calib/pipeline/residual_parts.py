@@ -23,8 +23,8 @@ def noise_of_bundle(solved: BundleResult, eq: Equations) -> dict[str, Noise]:
         n, z = float(np.mean(eq.corners[mine])), float(np.mean(eq.distance_m[mine]))
         has_depth = solved.has_bias[i]
         # the pose part's 6 (3) of 2 n (n) residuals have `ratio` times the deviation of the others
-        px = w.ratio_pixel * w.sigma_2d_px[i] * np.sqrt(6 / n)
-        mm = 1e3 * w.ratio_depth * w.k_depth[i] * z**2 * np.sqrt(3 / n)
+        px = w.sigma_2d_px[i] * np.sqrt(np.sum(w.ratio_pixel**2) / n)
+        mm = 1e3 * w.k_depth[i] * z**2 * np.sqrt(np.sum(w.ratio_depth**2) / n)
         out[name] = Noise(
             float(w.sigma_2d_px[i]),
             float(w.k_depth[i]) if has_depth else None,

@@ -9,7 +9,7 @@ observations' own: r_i = e_i + tau c_k for every weighted residual i of cell k, 
 With a_k the indicator of cell k, s_k = J' a_k, A = J'J + prior and n_k = a_k' a_k, the residuals of the fit have
 r = (1 - H)(e + tau sum_k c_k a_k), H = J A^-1 J', so that T = sum_k (a_k' r)^2 / n_k has the expectation
 
-    E T = sum_k (n_k + (ratio^2 - 1) |Q' a_k|^2 - s_k' A^-1 s_k) / n_k  +  tau^2 sum_kj (n_k [k=j] - s_k' A^-1 s_j)^2 / n_k
+    E T = sum_k (n_k + a_k' Q (ratio^2 - 1) Q' a_k - s_k' A^-1 s_k) / n_k  +  tau^2 sum_kj (n_k [k=j] - s_k' A^-1 s_j)^2 / n_k
 
 (the first sum with the pose parts of :mod:`.solve`), which is solved for tau^2: the method of moments for a variance
 component (C. R. Henderson, Biometrics 9(2), 1953). The estimate's covariance grows by tau^2 sum_k A^-1 s_k s_k' A^-1.
@@ -77,7 +77,7 @@ def common_errors(
             pairs, which = np.unique(np.stack([view, where]), axis=1, return_inverse=True)
             sums = np.zeros((pairs.shape[1], Q.shape[2]))
             np.add.at(sums, which.ravel(), Q[view, place])
-            in_pose += (ratio**2 - 1) * np.bincount(pairs[1], np.sum(sums**2, axis=1), minlength=K)
+            in_pose += np.bincount(pairs[1], sums**2 @ (ratio**2 - 1), minlength=K)
     of_depth = np.arange(K) % N_CELLS >= N_CELLS - RANGE_CELLS
     V_inv = np.linalg.inv(system.V)
     reduced = by_global - np.einsum("fpi,fki->kp", system.W @ V_inv, by_structure, optimize=True)

@@ -188,8 +188,8 @@ def _round(cost: float, weights: Weights, dropped_views: int) -> Round:
         tuple(weights.sigma_2d_px.tolist()),
         tuple(weights.k_depth.tolist()),
         weights.cell_exponent,
-        weights.ratio_pixel,
-        weights.ratio_depth,
+        float(np.sqrt(np.mean(weights.ratio_pixel**2))),
+        float(np.sqrt(np.mean(weights.ratio_depth**2))),
         dropped_views,
     )
 

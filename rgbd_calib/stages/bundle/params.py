@@ -81,5 +81,6 @@ class Round:
     k_depth: tuple[float, ...]
     cell_exponent: float
     ratio_pixel: float
+    """RMS over the kinds of pose part."""
     ratio_depth: float
     dropped_views: int

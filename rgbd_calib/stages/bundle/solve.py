@@ -26,6 +26,12 @@ from rgbd_calib.types import Board, IntArray
 
 BoolArray = NDArray[np.bool_]
 
+PIXEL_PARTS, DEPTH_PARTS = np.array([0, 1, 2, 3, 3, 3]), np.array([0, 1, 1])
+"""What is alike in the pose part of a view: the board's shift along the camera's axes, each by itself, and its turns, in
+the pixels; its offset, and its tilts, in the depth."""
+OFF_PIXEL, IN_PIXEL, OFF_DEPTH, IN_DEPTH = 0, slice(1, 7), 7, slice(8, 11)
+"""Where the parts of a view's residuals stand: pixels off the pose part and in it, depth off it and in it."""
+N_PARTS = 11
 VIEWS_AT_ONCE = 256
 """Views whose derivatives are in memory together: about 10 MB."""
 
@@ -37,7 +43,7 @@ class Weights:
     Errors inside one view are not independent: a board that moved between two exposures, or a depth sensor's error that
     is smooth over the image, shift all its corners together. So the residuals of a view are split into what a change of
     the board's pose in this view alone would explain (the columns of Q, orthonormal) and the rest. The estimate weighs
-    both alike; the covariance takes the first part's own variance, `ratio`^2 times the rest's.
+    both alike; the covariance takes the first part's own variances, `ratio`^2 times the rest's.
     """
 
     sigma_2d_px: FloatArray
@@ -47,16 +53,18 @@ class Weights:
     cell_exponent: float
     """Depth of a corner has the deviation k z^2 (cell_ratio)^(-cell_exponent / 2): 1 for white noise in its pixels, 0
     where they err together."""
-    ratio_pixel: float
-    ratio_depth: float
+    ratio_pixel: FloatArray
+    """(6,), in the order of the columns of Q; equal within PIXEL_PARTS."""
+    ratio_depth: FloatArray
+    """(3,), equal within DEPTH_PARTS."""
     robust_pixel: FloatArray
     """(V, N), 0 ... 1."""
     robust_depth: FloatArray
     """(V, N), and less in a view so near that its depth is rounded more than noisy."""
     Q_pixel: FloatArray
-    """(V, 2 N, 6), zero columns where a view has less."""
+    """(V, 2 N, 6): along the camera's axes x, y, z, then turns; less than orthonormal where a view has less."""
     Q_depth: FloatArray
-    """(V, N, 3)."""
+    """(V, N, 3): offset, then tilts."""
 
 
 @dataclass(frozen=True)
@@ -122,14 +130,19 @@ def cost(state: State, obs: Observations, board: Board, weights: Weights, prior:
 
 
 def sums_of_squares(state: State, obs: Observations, board: Board, weights: Weights) -> FloatArray:
-    """Weighted sums of squares (4, V): pixels off the pose part and in it, depth off it and in it."""
+    """Weighted sums of squares (N_PARTS, V)."""
     V = len(obs.camera)
     pixel, depth = model.residuals(state, obs, board)
     w_pixel, w_depth = scales(obs, weights)
     r2, r3 = (pixel * w_pixel[..., None]).reshape(V, -1), depth * w_depth
     low2, low3 = np.einsum("vnd,vn->vd", weights.Q_pixel, r2), np.einsum("vnd,vn->vd", weights.Q_depth, r3)
-    total2, total3, in2, in3 = (np.sum(x**2, axis=1) for x in (r2, r3, low2, low3))
-    return np.stack([total2 - in2, in2, total3 - in3, in3])
+    return _parts(np.sum(r2**2, axis=1), low2**2, np.sum(r3**2, axis=1), low3**2)
+
+
+def _parts(pixel: FloatArray, in_pixel: FloatArray, depth: FloatArray, in_depth: FloatArray) -> FloatArray:
+    """(N_PARTS, V) of totals (V,) and their pose parts (V, 6) and (V, 3)."""
+    off = pixel - in_pixel.sum(axis=1), depth - in_depth.sum(axis=1)
+    return np.concatenate([off[0][None], in_pixel.T, off[1][None], in_depth.T])
 
 
 def minimize(
@@ -204,16 +217,11 @@ class Block:
     r: FloatArray
     """(n, N, 3)."""
 
-    def information(self, weights: Weights) -> FloatArray:
-        """(4, n, G, G): in the pixels off the pose part and in it, in the depth off it and in it."""
+    def rows(self, weights: Weights) -> tuple[tuple[FloatArray, FloatArray], ...]:
+        """For pixels and for depth, their derivatives (n, m, G) and the pose parts of these (n, 6, G) and (n, 3, G)."""
         n, _, _, G = self.J.shape
-        out = []
-        for J, Q in ((self.J[:, :, :2], weights.Q_pixel), (self.J[:, :, 2], weights.Q_depth)):
-            rows = J.reshape(n, -1, G)
-            in_pose = Q[self.views].transpose(0, 2, 1) @ rows
-            H_pose = in_pose.transpose(0, 2, 1) @ in_pose
-            out += [rows.transpose(0, 2, 1) @ rows - H_pose, H_pose]
-        return np.stack(out)
+        both = (self.J[:, :, :2], weights.Q_pixel), (self.J[:, :, 2], weights.Q_depth)
+        return tuple((J.reshape(n, -1, G), Q[self.views].transpose(0, 2, 1) @ J.reshape(n, -1, G)) for J, Q in both)
 
 
 def columns(state: State, camera: IntArray) -> IntArray:
@@ -286,23 +294,27 @@ def honest_covariance(
     The estimate solves A step = -g with one weight for both parts, while g has the covariance B, in which the pose parts
     count `ratio`^2 times: Cov = A^-1 B A^-1 (the sandwich; H. White, Econometrica 48(4), 1980). B's priors count once.
     """
-    scale = np.array([1.0, weights.ratio_pixel**2, 1.0, weights.ratio_depth**2])
+    ratios = weights.ratio_pixel, weights.ratio_depth
     out: FloatArray = cov.cameras @ prior.information @ cov.cameras
     for part in blocks(state, obs, board, weights):
-        B = np.tensordot(scale, part.information(weights), axes=1)
+        B = np.zeros((len(part.camera), part.J.shape[-1], part.J.shape[-1]))
+        for (rows, in_pose), ratio in zip(part.rows(weights), ratios, strict=True):
+            more = in_pose * np.sqrt(ratio**2 - 1)[:, None]  # a ratio is at least 1
+            B += rows.transpose(0, 2, 1) @ rows + more.transpose(0, 2, 1) @ more
         M = np.concatenate([cov.cameras[part.columns], cov.cross[part.frame].transpose(0, 2, 1)], axis=1)  # (n, G, P)
         out += product(M.transpose(0, 2, 1) @ B, M.transpose(0, 2, 1))
     return out
 
 
 def view_traces(cov: Covariance, state: State, obs: Observations, board: Board, weights: Weights) -> FloatArray:
-    """tr(J Cov J') of each view's four parts, (4, V): how many of its residuals the fit absorbed."""
+    """tr(J Cov J') of each view's parts, (N_PARTS, V): how many of its residuals the fit absorbed."""
     traces = []
     for part in blocks(state, obs, board, weights):
         of_cameras = cov.cameras[part.columns[:, :, None], part.columns[:, None]]
         cross = cov.cross[part.frame[:, None], part.columns]
         C = np.block([[of_cameras, cross], [cross.transpose(0, 2, 1), cov.structure[part.frame]]])
-        traces.append(np.einsum("pvij,vij->pv", part.information(weights), C))
+        absorbed = [np.sum((rows @ C) * rows, axis=2) for pair in part.rows(weights) for rows in pair]
+        traces.append(_parts(absorbed[0].sum(axis=1), absorbed[1], absorbed[2].sum(axis=1), absorbed[3]))
     return np.concatenate(traces, axis=1)
 
 
