@@ -110,13 +110,13 @@ def test_a_light_from_one_side_does_not_draw_the_board_to_it(rise):
 
 def test_the_model_has_the_derivatives_that_it_says():
     rng = np.random.default_rng(0)
-    p = np.array([[0.3, -0.2, 0.1, 1.7, 100, 60, 0.5, -0.3, -0.2]])
+    p, light = np.array([[0.3, -0.2, 0.1, 1.7, 100, 60, -0.2]]), np.array([0.005, -0.003])
     dx, dy = rng.uniform(-5, 5, (2, 30))
-    jacobian = _crossing(p, dx, dy)[1]
-    for k in range(9):
-        step = np.zeros((1, 9))
+    jacobian = _crossing(p, light, dx, dy)[1]
+    for k in range(7):
+        step = np.zeros((1, 7))
         step[0, k] = 1e-6
-        slope = (_crossing(p + step, dx, dy)[0] - _crossing(p - step, dx, dy)[0]) / 2e-6
+        slope = (_crossing(p + step, light, dx, dy)[0] - _crossing(p - step, light, dx, dy)[0]) / 2e-6
         assert np.allclose(jacobian[..., k], slope, atol=1e-4)  # the Jacobian is kept in single precision
 
 

@@ -9,10 +9,11 @@ two edges through c with normals n1, n2, blurred by s, in a light that rises by 
 only where both gradients are strong, and so has less than half the error of the gradients alone; both leave errors that
 are independent from corner to corner, other than the finders, which move whole boards by up to 0.3 px.
 
-Without g all corners would be drawn to the light together, and that is what moves a pose. The board is lit as a whole: g is
-the median of what the corners have, held in the last rounds, so that it costs no corner its precision. What is left of it
-is the lens's: blurring light that rises by g' moves the pattern by -g' s^2 (the blur of x f is x times the blur of f plus
-s^2 times its slope), and a camera encodes light by its 1 / GAMMA-th power, so that g' = GAMMA g.
+Without g all corners would be drawn to the light together, and that is what moves a pose. Fitted at each corner, g would
+cost precision, and take a lens's or a sensor's unevenness for light; the board as a whole tells it: g is the slope of its
+white's logarithm over the image. What is left of the light is the lens's: blurring light that rises by g' moves the pattern
+by -g' s^2 (the blur of x f is x times the blur of f plus s^2 times its slope), and a camera encodes light by its
+1 / GAMMA-th power, so that g' = GAMMA g.
 
 A corner is left out where this model does not explain the pixels (a finger, a highlight), or where it does not lie
 with the others: corners of a plane are a homography of the grid, and lens and bow add a smooth part, here a cubic.
@@ -32,9 +33,11 @@ MODEL_SQUARES = 0.45
 """The same for the model, along each side of the square on its own."""
 WINDOW_MAX_PX = 10.0
 """Beyond it a lens bends the squares' sides: the errors grow again, and not independently."""
-ROUNDS, LAST_ROUNDS = 4, 3
+ROUNDS = 6
 GAMMA = 2.2
 """Of the curve by which cameras encode light."""
+MAX_MOVE_PX = 0.5
+"""A corner that moved farther from its start had its pixels to one side, and is fitted again."""
 MIN_EXPLAINED = 0.8
 """Share of the variance around a corner that the model must explain."""
 GROSS_PX = 0.3
@@ -63,76 +66,66 @@ def refine(
     start = np.where(
         np.linalg.norm(start - corners_px, axis=1, keepdims=True) < _shorter(sides)[:, None] / 2, start, corners_px
     )
-    fitted, explained, light = fit_crossings(gray, start, sides, clear)
+    light = _light(gray, start, sides, clear)
+    fitted, explained = fit_crossings(gray, start, sides, light, clear)
     gross, expected = outliers(grid, fitted, _shorter(sides), explained >= MIN_EXPLAINED)
-    again = np.flatnonzero(gross | (explained < MIN_EXPLAINED))
+    astray = np.linalg.norm(fitted - start, axis=1) > MAX_MOVE_PX
+    again = np.flatnonzero(gross | astray | (explained < MIN_EXPLAINED))
     if len(again):  # a wrong start: look where the other corners have it
-        fitted[again], explained[again], _ = fit_crossings(gray, expected[again], sides[again], clear, light)
+        fitted[again], explained[again] = fit_crossings(gray, expected[again], sides[again], light, clear)
         gross, _ = outliers(grid, fitted, _shorter(sides), explained >= MIN_EXPLAINED)
     return fitted, (explained >= MIN_EXPLAINED) & ~gross
 
 
 def fit_crossings(
-    gray: np.ndarray,
-    start_px: FloatArray,
-    sides: FloatArray,
-    clear: float | None = None,
-    light: FloatArray | None = None,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Corners (n, 2), px, of the model in the module's head, the share of the variance that it explains (n,), and g (2,).
+    gray: np.ndarray, start_px: FloatArray, sides: FloatArray, light: FloatArray, clear: float | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Corners (n, 2), px, of the model in the module's head, and the share of the variance that it explains (n,).
 
     Parameters
     ----------
     start_px : (n, 2).
     sides : (n, 2, 2), px, the sides of a square at each corner: [:, 0] along the columns, [:, 1] along the rows.
-    light : g (2,), 1/px, where it is known.
+    light : g (2,), 1/px.
     """
     origin = np.round(start_px).astype(int)
     dx, dy, value, weight = _windows(gray, start_px, origin, sides, clear)
     p = _first_guess(start_px - origin, sides, dx, dy, value, weight)
-    if light is None:
-        p, _ = _descend(p, np.arange(9), ROUNDS, dx, dy, value, weight)
-        light = np.median(p[:, 6:8], axis=0).astype(float)
-    p[:, 6:8] = light
-    p, rest = _descend(p, np.array([0, 1, 2, 3, 4, 5, 8]), LAST_ROUNDS, dx, dy, value, weight)
-    fitted = origin + p[:, :2].astype(float)
-    fitted += GAMMA * light * np.exp(2 * np.median(p[:, 8].astype(float)))
-    middle = (value * weight).sum(axis=1) / weight.sum(axis=1)
-    total = (((value - middle[:, None]) * weight) ** 2).sum(axis=1)
-    explained = 1 - (rest**2).sum(axis=1) / np.maximum(total, 1e-9)
-    moved = np.linalg.norm(fitted - start_px, axis=1)
-    return fitted, np.where(moved < _shorter(sides) / 2, explained, 0.0), light
-
-
-def _descend(
-    p: np.ndarray,
-    free: np.ndarray,
-    rounds: int,
-    dx: np.ndarray,
-    dy: np.ndarray,
-    value: np.ndarray,
-    weight: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters (n, 9) after some rounds of Levenberg-Marquardt on the free ones, and the weighted residuals (n, m)."""
     damping = np.full(len(p), 1e-3)
-    brightness, jacobian = _crossing(p, dx, dy)
+    brightness, jacobian = _crossing(p, light, dx, dy)
     rest = (value - brightness) * weight
-    for _ in range(rounds):
-        weighted = jacobian[..., free] * weight[..., None]
+    for _ in range(ROUNDS):
+        weighted = jacobian * weight[..., None]
         normal = weighted.transpose(0, 2, 1) @ weighted
         diagonal = np.einsum("nii->ni", normal)
-        damped = normal + np.einsum("ni,ij->nij", damping[:, None] * diagonal + 1e-6, np.eye(len(free)))
-        trial = p.copy()
-        trial[:, free] += np.linalg.solve(damped, np.einsum("nmi,nm->ni", weighted, rest)[..., None])[..., 0]
-        trial[:, 8] = np.clip(trial[:, 8], *_LOG_BLUR)
-        brightness, trial_jacobian = _crossing(trial, dx, dy)
+        damped = normal + np.einsum("ni,ij->nij", damping[:, None] * diagonal + 1e-6, np.eye(7))
+        trial = p + np.linalg.solve(damped, np.einsum("nmi,nm->ni", weighted, rest)[..., None])[..., 0]
+        trial[:, 6] = np.clip(trial[:, 6], *_LOG_BLUR)
+        brightness, trial_jacobian = _crossing(trial, light, dx, dy)
         trial_rest = (value - brightness) * weight
         better = (trial_rest**2).sum(axis=1) <= (rest**2).sum(axis=1)
         p = np.where(better[:, None], trial, p)
         rest = np.where(better[:, None], trial_rest, rest)
         jacobian = np.where(better[:, None, None], trial_jacobian, jacobian)
         damping = np.where(better, damping / 10, damping * 10)
-    return p, rest
+    fitted = origin + p[:, :2] + GAMMA * light * np.exp(2 * np.median(p[:, 6].astype(float)))
+    middle = (value * weight).sum(axis=1) / weight.sum(axis=1)
+    total = (((value - middle[:, None]) * weight) ** 2).sum(axis=1)
+    explained = 1 - (rest**2).sum(axis=1) / np.maximum(total, 1e-9)
+    moved = np.linalg.norm(fitted - start_px, axis=1)
+    return fitted, np.where(moved < _shorter(sides) / 2, explained, 0.0)
+
+
+def _light(gray: np.ndarray, corners_px: FloatArray, sides: FloatArray, clear: float | None) -> FloatArray:
+    """g (2,), 1/px: the slope of the logarithm of the board's white; corners that something covers do not count."""
+    origin = np.round(corners_px).astype(int)
+    dx, dy, value, weight = _windows(gray, corners_px, origin, sides, clear)
+    p = _first_guess(corners_px - origin, sides, dx, dy, value, weight).astype(float)
+    white = np.log(np.maximum(p[:, 4] + np.abs(p[:, 5]), 1.0))
+    A = np.column_stack([corners_px - corners_px.mean(axis=0), np.ones(len(p))])
+    off = np.abs(white - A @ np.linalg.lstsq(A, white, rcond=None)[0])
+    kept = off <= 4 * np.median(off)
+    return np.asarray(np.linalg.lstsq(A[kept], white[kept], rcond=None)[0][:2], float)
 
 
 def outliers(
@@ -223,19 +216,20 @@ def _windows(
 def _first_guess(
     centre: FloatArray, sides: FloatArray, dx: np.ndarray, dy: np.ndarray, value: np.ndarray, weight: np.ndarray
 ) -> np.ndarray:
-    """Parameters (n, 9): centre, directions of the two edges, a, b, g, log of the blur."""
+    """Parameters (n, 7): centre, directions of the two edges, a, b, log of the blur."""
     n = len(centre)
     a = (value * weight).sum(axis=1) / np.maximum(weight.sum(axis=1), 1)
     angles = np.arctan2(sides[..., 1], sides[..., 0])
-    p = np.column_stack([centre, angles, a, np.ones(n), np.zeros((n, 2)), np.full(n, np.log(0.8))]).astype(np.float32)
-    pattern = (_crossing(p, dx, dy)[0] - p[:, 4:5]) * weight
+    p = np.column_stack([centre, angles, a, np.ones(n), np.full(n, np.log(0.8))]).astype(np.float32)
+    pattern = (_crossing(p, np.zeros(2), dx, dy)[0] - p[:, 4:5]) * weight
     p[:, 5] = ((value - a[:, None]) * pattern).sum(axis=1) / np.maximum((pattern**2).sum(axis=1), 1e-9)
     return p
 
 
-def _crossing(p: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Brightness (n, m) of the model at pixels (m,), and its derivatives by the parameters (n, m, 9)."""
-    u, v, first, second, a, b, gx, gy, log_blur = (p[:, i, None] for i in range(9))
+def _crossing(p: np.ndarray, g: FloatArray, dx: np.ndarray, dy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Brightness (n, m) of the model at pixels (m,), and its derivatives by the parameters (n, m, 7)."""
+    u, v, first, second, a, b, log_blur = (p[:, i, None] for i in range(7))
+    gx, gy = (np.float32(rise) for rise in g)
     x, y, blur = dx - u, dy - v, np.exp(log_blur)
     c1, s1, c2, s2 = np.cos(first), np.sin(first), np.cos(second), np.sin(second)
     d1, d2 = (y * c1 - x * s1) / blur, (x * s2 - y * c2) / blur
@@ -245,13 +239,12 @@ def _crossing(p: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> tuple[np.ndarray
     light, board = 1 + gx * x + gy * y, a + b * e1 * e2
     steep = light * b * slope / blur
     f1, f2 = steep * np.exp(-(d1**2) / 2) * e2, steep * np.exp(-(d2**2) / 2) * e1
-    jacobian = np.empty((*x.shape, 9), np.float32)
+    jacobian = np.empty((*x.shape, 7), np.float32)
     jacobian[..., 0] = f1 * s1 - f2 * s2 - board * gx
     jacobian[..., 1] = f2 * c2 - f1 * c1 - board * gy
     jacobian[..., 2] = -f1 * (x * c1 + y * s1)
     jacobian[..., 3] = f2 * (x * c2 + y * s2)
     jacobian[..., 4] = light
     jacobian[..., 5] = light * e1 * e2
-    jacobian[..., 6], jacobian[..., 7] = board * x, board * y
-    jacobian[..., 8] = -blur * (f1 * d1 + f2 * d2)
+    jacobian[..., 6] = -blur * (f1 * d1 + f2 * d2)
     return light * board, jacobian
