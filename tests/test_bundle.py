@@ -168,6 +168,21 @@ def test_depth_noise_that_is_smooth_over_the_board_is_seen_and_counted() -> None
     assert white.weights.ratio_depth.max() < 1.5
 
 
+def test_a_sure_depth_bias_does_not_hide_what_the_recording_tells_of_the_lenses() -> None:
+    """Information of 1e18 beside a focal length's 3e-4: what is little is not nothing."""
+    rng = np.random.default_rng(5)
+    rig = sv.arc(2, biased=True)
+    views, priors = draw(rig, sv.BOARD, 14, rng), priors_of(rig, rng)
+    sure = DepthBias(rig.cameras["C2"].depth_bias.coefficients, 0.5, 4.0, 0.0, 1e-18 * np.eye(3))
+    priors["C2"] = replace(priors["C2"], bias=sure)
+    result = bundle(views, sv.BOARD, priors, {n: c.T_world_color for n, c in rig.cameras.items()}, "C1")
+    lens = result.parameters("C1").start + 6
+    assert not result.observability.undetermined[lens : lens + 4].any()
+    assert np.all(
+        np.abs(result.state.intrinsics[0] - rig.cameras["C1"].intrinsics.vector)[:2] < 0.5
+    )  # 2 px at the start
+
+
 def test_depth_that_is_rounded_more_than_noisy_weighs_less() -> None:
     rng = np.random.default_rng(3)
     rig = sv.arc(2, biased=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rgbd_calib.geometry.inverse import symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.bundle.model import INTRINSICS, State
 from rgbd_calib.stages.bundle.solve import BoolArray, Covariance, Prior
@@ -68,11 +69,8 @@ def examine(cameras: Sequence[str], state: State, cov: Covariance, prior: Prior)
 
 
 def _prior_sd(prior: Prior) -> FloatArray:
-    information = prior.information
-    known = np.flatnonzero(np.diag(information) > 0)
-    out = np.full(len(information), np.inf)
-    out[known] = np.sqrt(np.diag(np.linalg.pinv(information[np.ix_(known, known)], hermitian=True)))
-    return out
+    variance = np.diag(symmetric_inverse(prior.information))
+    return np.where(np.diag(prior.information) > 0, np.sqrt(variance), np.inf)
 
 
 def _name(k: int) -> tuple[str, str]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from rgbd_calib.geometry.camera import N_INTRINSICS
+from rgbd_calib.geometry.inverse import symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.bundle import solve
 from rgbd_calib.stages.bundle.model import N_BOW, Observations, State
@@ -122,6 +123,6 @@ def _intrinsics_sd(prior: CameraPrior, params: BundleParams) -> FloatArray:
 
 def _bias_information(bias: DepthBias | None, n: int, params: BundleParams) -> FloatArray:
     if bias is not None and bias.covariance is not None:
-        return np.asarray(np.linalg.pinv(bias.covariance, hermitian=True), float)
+        return symmetric_inverse(bias.covariance)
     sd = [params.bias_offset_sd_m, params.bias_scale_sd] + [params.bias_curvature_sd_per_m] * max(n - 2, 0)
     return np.diag(1 / np.square(sd[:n]))

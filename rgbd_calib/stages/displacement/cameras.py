@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.inverse import symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.displacement.view_fit import FittedView
 from rgbd_calib.types import IntArray
@@ -178,7 +179,7 @@ def _solve(
         S = S - B @ V_inv[f] @ B.T
         r = r - B @ V_inv[f] @ h[f]
     covariance, step = np.zeros((n, n)), np.zeros(n)
-    covariance[np.ix_(free, free)] = np.linalg.pinv(S[np.ix_(free, free)], hermitian=True)
+    covariance[np.ix_(free, free)] = symmetric_inverse(S[np.ix_(free, free)])
     step[free] = -covariance[np.ix_(free, free)] @ r[free]
     boards = np.stack([-V_inv[f] @ (h[f] + W[f].reshape(n, 6).T @ step) for f in range(n_frames)])
     return step.reshape(n_cameras, 6), boards, covariance

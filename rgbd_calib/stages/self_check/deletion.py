@@ -21,8 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
+from rgbd_calib.geometry.inverse import symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.stages.self_check.equations import Equations, invert
+from rgbd_calib.stages.self_check.equations import Equations
 from rgbd_calib.types import IntArray
 
 
@@ -42,7 +43,7 @@ class Deletion:
 def delete(eq: Equations, gone: IntArray) -> Deletion:
     """Take the boards `gone`, (F,) bool, away."""
     S_gone, g_gone = eq.frame_information[gone].sum(axis=0), eq.frame_gradient[gone].sum(axis=0)
-    left = invert(eq.information - S_gone) * np.outer(eq.free, eq.free)
+    left = symmetric_inverse(eq.information - S_gone) * np.outer(eq.free, eq.free)
     gradient = eq.frame_gradient.sum(axis=0) + eq.prior_gradient * eq.free
     step = -left @ (gradient - g_gone)
     extra = eq.frame_excess

@@ -26,6 +26,7 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2
 
+from rgbd_calib.geometry.inverse import symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import IntArray
 
@@ -194,7 +195,7 @@ class Equations:
     @cached_property
     def covariance(self) -> FloatArray:
         """(P, P), of the free parameters, all residuals independent."""
-        return invert(self.information) * np.outer(self.free, self.free)
+        return symmetric_inverse(self.information) * np.outer(self.free, self.free)
 
     @cached_property
     def step(self) -> tuple[FloatArray, FloatArray]:
@@ -233,13 +234,6 @@ _WITHOUT_EXCESS = (
     "covariance",
     "step",
 )
-
-
-def invert(S: FloatArray) -> FloatArray:
-    """Inverse of a positive matrix, its diagonal scaled to one first; what is numerically zero stays zero."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(S), 1e-300))
-    inverse = np.linalg.pinv(S * np.outer(scale, scale), rcond=1e-12, hermitian=True)
-    return np.asarray(inverse * np.outer(scale, scale), np.float64)
 
 
 @dataclass(frozen=True)

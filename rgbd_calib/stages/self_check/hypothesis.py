@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2, f
 
+from rgbd_calib.geometry.inverse import symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.stages.self_check.equations import SEEN, Equations, Score, clear_effect, score_test
 from rgbd_calib.types import IntArray
@@ -81,7 +82,7 @@ def prior_test(eq: Equations, own: IntArray, columns: IntArray, where: IntArray)
     if not len(own):
         return Score(0.0, 0.0, 0, 1.0, np.zeros(0), nothing, 0.0)
     at = np.ix_(own, own)
-    L_inv = np.asarray(np.linalg.pinv(eq.prior[at], hermitian=True), np.float64)
+    L_inv = symmetric_inverse(eq.prior[at])
     d = L_inv @ eq.prior_gradient[own] + eq.step[0][own]
     variance = eq.honest_covariance[at] + L_inv - 2 * eq.covariance[at]
     unit = 1 / np.sqrt(np.diag(L_inv))
