@@ -83,10 +83,7 @@ def refinements(gray: np.ndarray, grid: np.ndarray, start: np.ndarray) -> dict[s
         )
     timed("cornerSubPix, half a square", lambda: subpixel._gradients(gray, start, sides))
     rough = out["cornerSubPix, half a square"][0]
-    timed(
-        "model, after that",
-        lambda: subpixel.fit_crossings(gray, rough, sides, subpixel._light(gray, rough, sides, None))[0],
-    )
+    timed("model, after that", lambda: subpixel.fit_crossings(gray, rough, sides)[0])
     return out
 
 

@@ -208,7 +208,7 @@ def points_in_color(state: State, obs: Observations, board: Board) -> tuple[Floa
     p_parent = points @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
     if freed.any():
         p_parent[freed] += state.corners_m[obs.frame[freed, None], obs.corner[freed]] - T[freed, None, :3, 3]
-    T_color_parent = _color_parent(state, obs)
+    T_color_parent = color_parent(state, obs)
     p_color = p_parent @ T_color_parent[:, :3, :3].transpose(0, 2, 1) + T_color_parent[:, None, :3, 3]
     return p_parent, p_color
 
@@ -231,7 +231,7 @@ def linearize(state: State, obs: Observations, board: Board) -> Linearized:
     vector = np.repeat(state.intrinsics[obs.camera], N, axis=0)
     safe = np.where(obs.has_pixel[..., None], p, [0.0, 0.0, 1.0]).reshape(-1, 3)
     _, d_point, d_intrinsics = camera.project_jacobian(vector, safe)
-    R_color_parent = _color_parent(state, obs)[:, :3, :3]
+    R_color_parent = color_parent(state, obs)[:, :3, :3]
     by_point = np.empty((V, N, 3, 3))  # of u, v, z by the point in the parent's frame
     by_point[:, :, :2] = (d_point.reshape(V, 2 * N, 3) @ R_color_parent).reshape(V, N, 2, 3)
     by_point[:, :, 2] = R_color_parent[:, None, 2]
@@ -272,7 +272,8 @@ def free(state: State, obs: Observations, board: Board) -> tuple[State, Observat
     return replace(state, freed=freed, corners_m=corners_m), obs.keep(obs.has_pixel & told, obs.has_depth & told)
 
 
-def _color_parent(state: State, obs: Observations) -> FloatArray:
+def color_parent(state: State, obs: Observations) -> FloatArray:
+    """T_color_parent (V, 4, 4): from the frame in which a view's board is posed to its camera's."""
     T_color_world = se3.inverse(state.T_world_color)[obs.camera]
     return np.where(obs.shared[:, None, None], T_color_world, np.eye(4))
 

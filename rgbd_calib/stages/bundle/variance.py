@@ -3,7 +3,8 @@
 Helmert's and Forstner's estimate of a variance from the residuals of its group: sigma^2 = sum r^2 / redundancy, with
 redundancy = residuals - tr(J Cov J'), what the fit absorbed. Groups: the pixels of each camera, off the pose part; the
 depth of each camera, off it; and the kinds of pose part of all views together (their ratio to the rest, at least 1): a
-finder that draws whole boards to one side shifts them, and does not turn them. How the depth's variance falls with the size of a corner's cell is one exponent for all cameras.
+finder that draws whole boards to one side shifts them, and does not turn them. How the depth's variance falls with the size
+of a corner's cell is one exponent for all cameras.
 
 Depth comes in whole units, and neighbouring pixels of a board round alike: averaging a cell's pixels lowers their noise, not
 the rounding. So unit^2 / 12 is added to a corner's variance, in the weight of its whole view; that tells near the camera,
@@ -135,7 +136,7 @@ def pose_parts(state: State, obs: Observations, board: Board, depth_sigma: Float
             for views in (slice(v, v + solve.VIEWS_AT_ONCE) for v in range(0, V, solve.VIEWS_AT_ONCE))
         ]
     ).reshape(V, -1, 6)
-    R_parent_color = np.where(obs.shared[:, None, None], state.T_world_color[obs.camera][:, :3, :3], np.eye(3))
+    R_parent_color = model.color_parent(state, obs)[:, :3, :3].transpose(0, 2, 1)
     flat = np.stack([obs.has_depth, *(obs.points_m[..., k] * obs.has_depth for k in (0, 1))], axis=-1)
     flat = flat / (depth_sigma * obs.depth_m**2)[..., None]
     return _in_order(_orthonormal(J2), J2[..., 3:] @ R_parent_color), _in_order(_orthonormal(flat), flat)

@@ -66,31 +66,35 @@ def refine(
     start = np.where(
         np.linalg.norm(start - corners_px, axis=1, keepdims=True) < _shorter(sides)[:, None] / 2, start, corners_px
     )
-    light = _light(gray, start, sides, clear)
-    fitted, explained = fit_crossings(gray, start, sides, light, clear)
+    fitted, explained, light = fit_crossings(gray, start, sides, clear)
     gross, expected = outliers(grid, fitted, _shorter(sides), explained >= MIN_EXPLAINED)
     astray = np.linalg.norm(fitted - start, axis=1) > MAX_MOVE_PX
     again = np.flatnonzero(gross | astray | (explained < MIN_EXPLAINED))
     if len(again):  # a wrong start: look where the other corners have it
-        fitted[again], explained[again] = fit_crossings(gray, expected[again], sides[again], light, clear)
+        fitted[again], explained[again], _ = fit_crossings(gray, expected[again], sides[again], clear, light)
         gross, _ = outliers(grid, fitted, _shorter(sides), explained >= MIN_EXPLAINED)
     return fitted, (explained >= MIN_EXPLAINED) & ~gross
 
 
 def fit_crossings(
-    gray: np.ndarray, start_px: FloatArray, sides: FloatArray, light: FloatArray, clear: float | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Corners (n, 2), px, of the model in the module's head, and the share of the variance that it explains (n,).
+    gray: np.ndarray,
+    start_px: FloatArray,
+    sides: FloatArray,
+    clear: float | None = None,
+    light: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Corners (n, 2), px, of the model in the module's head, the share of the variance that it explains (n,), and g (2,).
 
     Parameters
     ----------
     start_px : (n, 2).
     sides : (n, 2, 2), px, the sides of a square at each corner: [:, 0] along the columns, [:, 1] along the rows.
-    light : g (2,), 1/px.
+    light : g (2,), 1/px, where other corners have told it.
     """
     origin = np.round(start_px).astype(int)
     dx, dy, value, weight = _windows(gray, start_px, origin, sides, clear)
     p = _first_guess(start_px - origin, sides, dx, dy, value, weight)
+    light = _light(start_px, p) if light is None else light
     damping = np.full(len(p), 1e-3)
     brightness, jacobian = _crossing(p, light, dx, dy)
     rest = (value - brightness) * weight
@@ -113,15 +117,13 @@ def fit_crossings(
     total = (((value - middle[:, None]) * weight) ** 2).sum(axis=1)
     explained = 1 - (rest**2).sum(axis=1) / np.maximum(total, 1e-9)
     moved = np.linalg.norm(fitted - start_px, axis=1)
-    return fitted, np.where(moved < _shorter(sides) / 2, explained, 0.0)
+    return fitted, np.where(moved < _shorter(sides) / 2, explained, 0.0), light
 
 
-def _light(gray: np.ndarray, corners_px: FloatArray, sides: FloatArray, clear: float | None) -> FloatArray:
-    """g (2,), 1/px: the slope of the logarithm of the board's white; corners that something covers do not count."""
-    origin = np.round(corners_px).astype(int)
-    dx, dy, value, weight = _windows(gray, corners_px, origin, sides, clear)
-    p = _first_guess(corners_px - origin, sides, dx, dy, value, weight).astype(float)
-    white = np.log(np.maximum(p[:, 4] + np.abs(p[:, 5]), 1.0))
+def _light(corners_px: FloatArray, p: np.ndarray) -> FloatArray:
+    """g (2,), 1/px, from first guesses (n, 7): the slope of the logarithm of the board's white; corners that something
+    covers do not count."""
+    white = np.log(np.maximum(p[:, 4].astype(float) + np.abs(p[:, 5].astype(float)), 1.0))
     A = np.column_stack([corners_px - corners_px.mean(axis=0), np.ones(len(p))])
     off = np.abs(white - A @ np.linalg.lstsq(A, white, rcond=None)[0])
     kept = off <= 4 * np.median(off)
