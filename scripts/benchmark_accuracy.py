@@ -37,8 +37,8 @@ from rgbd_calib.pipeline.calibrate import calibrate
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, detections_from
 from rgbd_calib.pipeline.evaluate import against_truth
-from rgbd_calib.stages.detect import DetectParams, corner_depth, orient
 from rgbd_calib.types import BoardView, Rig, RigCamera
+from rgbd_calib.views.detect import DetectParams, corner_depth, orient
 
 LAYOUTS = {
     "4 on an arc": ["--cameras", "4", "--layout", "arc"],

@@ -23,9 +23,9 @@ import cv2
 import numpy as np
 
 from rgbd_calib.io.recording import open_recording
-from rgbd_calib.stages.detect import DetectParams, find_corners, subpixel
-from rgbd_calib.stages.detect.checkerboard import find_checkerboard
 from rgbd_calib.types import Board
+from rgbd_calib.views.detect import DetectParams, find_corners, subpixel
+from rgbd_calib.views.detect.checkerboard import find_checkerboard
 
 Finder = Callable[[np.ndarray, Board], np.ndarray | None]
 WRONG_SQUARES = 0.35

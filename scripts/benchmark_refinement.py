@@ -24,12 +24,12 @@ import numpy as np
 
 from rgbd_calib.geometry import camera, se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
-from rgbd_calib.stages.refinement import RefinementParams, groups, refine
-from rgbd_calib.stages.refinement import problem as problems
-from rgbd_calib.stages.refinement.loss import Loss
-from rgbd_calib.stages.refinement.moments import MomentTerm
-from rgbd_calib.stages.refinement.solver import Minimum, State, minimise
-from rgbd_calib.stages.refinement.terms import PixelTerm
+from rgbd_calib.rig.biobjective import RefinementParams, groups, refine
+from rgbd_calib.rig.biobjective import problem as problems
+from rgbd_calib.rig.biobjective.loss import Loss
+from rgbd_calib.rig.biobjective.moments import MomentTerm
+from rgbd_calib.rig.biobjective.solver import Minimum, State, minimise
+from rgbd_calib.rig.biobjective.terms import PixelTerm
 from rgbd_calib.types import Correspondences
 
 SIZES = ((2, 100, 100), (4, 100, 100), (4, 1_000, 1_000), (4, 10_000, 10_000), (8, 20_000, 20_000), (32, 2_000, 2_000))

@@ -34,11 +34,11 @@ from rgbd_calib.pipeline import calibrate as pipeline
 from rgbd_calib.pipeline.config import load_config
 from rgbd_calib.pipeline.detection import Detections, detect
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.stages.detect import DetectParams
-from rgbd_calib.synthetic.recording import SimulationParams, simulate
-from rgbd_calib.synthetic.rig import true_rig
-from rgbd_calib.synthetic.views import ViewNoise, true_views
+from rgbd_calib.simulation.recording import SimulationParams, simulate
+from rgbd_calib.simulation.rig import true_rig
+from rgbd_calib.simulation.views import ViewNoise, true_views
 from rgbd_calib.types import Board, Rig, RigCamera
+from rgbd_calib.views.detect import DetectParams
 
 BOARD = Board(9, 6, 0.060, two_sided=True, thickness_m=0.006)
 FRESH = "CHILD"

@@ -18,9 +18,10 @@ from typing import Any
 import click
 
 from rgbd_calib.io.recording import open_recording
-from rgbd_calib.pipeline import calibrate, details, prepare, self_check
+from rgbd_calib.pipeline import calibrate, details, prepare
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.workers import Workers
+from rgbd_calib.trust.self_check import calibration as self_check
 
 STAGES: dict[str, list[tuple[Any, str]]] = {
     "corners and their depth": [(calibrate, "detect"), (prepare, "detect")],

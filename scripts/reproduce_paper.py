@@ -21,9 +21,9 @@ from rgbd_calib.cli.options import progress, say
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import camera, resection, se3, so3
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.stages.refinement import RefinementParams, RefinementResult, refine
-from rgbd_calib.synthetic.features import paper_scene, visible_points
-from rgbd_calib.synthetic.scene import Caster
+from rgbd_calib.rig.biobjective import RefinementParams, RefinementResult, refine
+from rgbd_calib.simulation.features import paper_scene, visible_points
+from rgbd_calib.simulation.scene import Caster
 from rgbd_calib.types import Correspondences
 
 BOXES = 50

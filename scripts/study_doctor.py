@@ -24,10 +24,10 @@ from rgbd_calib.io.recording import Recording, open_recording, save_color, save_
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.doctor import Examination, examine
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.stages.detect import DetectParams, detect_view
-from rgbd_calib.stages.doctor import hull_mask
-from rgbd_calib.synthetic.spoil import spoil, true_corners
+from rgbd_calib.simulation.spoil import spoil, true_corners
 from rgbd_calib.types import BoardView
+from rgbd_calib.views.detect import DetectParams, detect_view
+from rgbd_calib.views.doctor import hull_mask
 
 Key = tuple[str, str]
 Views = dict[Key, BoardView]

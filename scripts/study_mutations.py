@@ -1,4 +1,4 @@
-"""How many small faults, sown into geometry and stages, the tests find: what a test file is worth is what it notices.
+"""How many small faults, sown into geometry and the rooms of the method, the tests find: what a test file is worth is what it notices.
 
     python scripts/study_mutations.py --mutants 15 --survivors survivors.txt
 
@@ -29,31 +29,31 @@ GUARDS = {
     "geometry/plane.py": "test_plane.py",
     "geometry/align.py": "test_se3.py test_plane.py",
     "geometry/resection.py": "test_resection.py",
-    "stages/association.py": "test_association.py",
-    "stages/board_pose.py": "test_board_pose.py",
-    "stages/correspondence.py": "test_correspondence.py",
-    "stages/coverage.py": "test_coverage.py",
-    "stages/depth_bias.py": "test_depth_bias.py",
-    "stages/initialization.py": "test_initialization.py",
-    "stages/intrinsics.py": "test_intrinsics.py",
-    "stages/plane_filter.py": "test_plane_filter.py",
-    "stages/uncertainty.py": "test_uncertainty.py",
-    "stages/wall.py": "test_wall.py",
-    "stages/detect/depth.py": "test_detect.py",
-    "stages/detect/subpixel.py": "test_detect.py",
-    "stages/bundle/common_errors.py": "test_bundle_common_errors.py",
-    "stages/bundle/gross.py": "test_bundle.py",
-    "stages/bundle/model.py": "test_bundle.py",
-    "stages/bundle/solve.py": "test_bundle.py",
-    "stages/bundle/variance.py": "test_bundle.py",
-    "stages/refinement/groups.py": "test_refinement_solver.py",
-    "stages/refinement/kernels.py": "test_refinement_solver.py",
-    "stages/refinement/moments.py": "test_refinement_solver.py",
-    "stages/refinement/solver.py": "test_refinement_solver.py test_refinement.py",
-    "stages/refinement/statistics.py": "test_refinement.py",
-    "stages/refinement/terms.py": "test_refinement_solver.py test_refinement.py",
-    "stages/displacement/view_fit.py": "test_displacement.py",
-    "stages/doctor/measures.py": "test_doctor.py",
+    "views/association.py": "test_association.py",
+    "views/board_pose.py": "test_board_pose.py",
+    "views/correspondence.py": "test_correspondence.py",
+    "views/coverage.py": "test_coverage.py",
+    "cameras/depth_bias.py": "test_depth_bias.py",
+    "rig/initialization.py": "test_initialization.py",
+    "cameras/intrinsics.py": "test_intrinsics.py",
+    "views/plane_filter.py": "test_plane_filter.py",
+    "trust/uncertainty.py": "test_uncertainty.py",
+    "cameras/wall.py": "test_wall.py",
+    "views/detect/depth.py": "test_detect.py",
+    "views/detect/subpixel.py": "test_detect.py",
+    "rig/bundle/common_errors.py": "test_bundle_common_errors.py",
+    "rig/bundle/gross.py": "test_bundle.py",
+    "rig/bundle/model.py": "test_bundle.py",
+    "rig/bundle/solve.py": "test_bundle.py",
+    "rig/bundle/variance.py": "test_bundle.py",
+    "rig/biobjective/groups.py": "test_refinement_solver.py",
+    "rig/biobjective/kernels.py": "test_refinement_solver.py",
+    "rig/biobjective/moments.py": "test_refinement_solver.py",
+    "rig/biobjective/solver.py": "test_refinement_solver.py test_refinement.py",
+    "rig/biobjective/statistics.py": "test_refinement.py",
+    "rig/biobjective/terms.py": "test_refinement_solver.py test_refinement.py",
+    "trust/displacement/view_fit.py": "test_displacement.py",
+    "views/doctor/measures.py": "test_doctor.py",
 }
 EQUIVALENT = "operator_name like '%BitOr%' or operator_name like '%Decorator%'"
 """X | Y stands in annotations, which nothing evaluates; and a dataclass without its decorator is no fault of a number."""
@@ -67,7 +67,7 @@ EQUIVALENT = "operator_name like '%BitOr%' or operator_name like '%Decorator%'"
 @click.option("--survivors", type=click.Path(path_type=Path), help="Write what no test noticed here.")
 @click.option("--json", "as_json", is_flag=True, help="Print the rows as JSON.")
 def main(mutants: int, seed: int, timeout: float, only: tuple[str, ...], survivors: Path | None, as_json: bool) -> None:
-    """Score the tests of geometry and stages by mutants."""
+    """Score the tests of geometry and the rooms of the method by mutants."""
     modules = only or tuple(GUARDS)
     rows, left = [], []
     with tempfile.TemporaryDirectory() as name:

@@ -21,8 +21,8 @@ from rgbd_calib.pipeline.calibrate import Calibration, calibrate
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Detections, board_of, detections_from
 from rgbd_calib.pipeline.evaluate import against_truth
-from rgbd_calib.stages.detect import DetectParams
-from rgbd_calib.synthetic.spoil import Kind, spoil, true_corners
+from rgbd_calib.simulation.spoil import Kind, spoil, true_corners
+from rgbd_calib.views.detect import DetectParams
 
 
 @click.command()
@@ -79,7 +79,7 @@ def main(simulation: Path, share: float, corners: Path | None, intrinsic_corners
 
 def reuse(recording: Recording, found: Detections, spoiled: tuple[tuple[str, str], ...]) -> Detections:
     """Detections of a spoiled copy: only the spoiled views are searched again."""
-    from rgbd_calib.stages.detect import detect_view
+    from rgbd_calib.views.detect import detect_view
 
     views = [view for view in found.views if (view.camera, view.frame) not in spoiled]
     for camera, frame in spoiled:

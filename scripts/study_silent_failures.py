@@ -23,6 +23,7 @@ from typing import Any
 import click
 import numpy as np
 
+from rgbd_calib.cameras.depth_bias import fit_with_data
 from rgbd_calib.errors import RgbdCalibError
 from rgbd_calib.geometry import align, se3
 from rgbd_calib.io.recording import open_recording
@@ -31,14 +32,13 @@ from rgbd_calib.pipeline.calibrate import Calibration, calibrate
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import detections_from, silent
 from rgbd_calib.pipeline.evaluate import against_truth
-from rgbd_calib.report.verdict import judge
-from rgbd_calib.stages import uncertainty
-from rgbd_calib.stages.depth_bias import fit_with_data
-from rgbd_calib.stages.detect import DetectParams
-from rgbd_calib.stages.self_check import SelfCheckParams
-from rgbd_calib.synthetic.faults import FAULTS, RINGS
-from rgbd_calib.synthetic.session import Session, draw_scene, film, write_session
+from rgbd_calib.simulation.faults import FAULTS, RINGS
+from rgbd_calib.simulation.session import Session, draw_scene, film, write_session
+from rgbd_calib.trust import uncertainty
+from rgbd_calib.trust.self_check import SelfCheckParams
+from rgbd_calib.trust.verdict import judge
 from rgbd_calib.types import Rig
+from rgbd_calib.views.detect import DetectParams
 
 CLEAN_FACTOR, STATED_FACTOR, FLOOR_MM = 1.5, 3.0, 0.5
 

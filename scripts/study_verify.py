@@ -24,11 +24,11 @@ from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import detect, silent
 from rgbd_calib.pipeline.verify import Verification, verify, verify_views
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.stages.detect import DetectParams
-from rgbd_calib.stages.displacement import VerdictParams
-from rgbd_calib.synthetic import recording as simulated
-from rgbd_calib.synthetic.views import ViewNoise, near_poses, true_views
+from rgbd_calib.simulation import recording as simulated
+from rgbd_calib.simulation.views import ViewNoise, near_poses, true_views
+from rgbd_calib.trust.displacement import VerdictParams
 from rgbd_calib.types import Board, Rig
+from rgbd_calib.views.detect import DetectParams
 
 KINDS = {"nothing": (0.0, 0.0), "5 mm": (0.0, 0.005), "0.3 deg": (np.radians(0.3), 0.0)}
 

@@ -17,7 +17,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.correspondences import write_corners
 from rgbd_calib.io.recording import CameraInfo, save_color, save_depth, write_dataset
 from rgbd_calib.io.rig import write_depth_bias, write_intrinsics, write_rig
-from rgbd_calib.synthetic.views import ViewNoise, true_views
+from rgbd_calib.simulation.views import ViewNoise, true_views
 from rgbd_calib.types import Board, BoardView, DepthBias, PlacedView, Rig, RigCamera
 
 WIDTH, HEIGHT = 640, 480

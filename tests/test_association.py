@@ -22,10 +22,10 @@ from synthetic_views import (
 
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import se3
-from rgbd_calib.stages.association import associate
-from rgbd_calib.stages.board_pose import pose_view
-from rgbd_calib.synthetic.views import true_views
+from rgbd_calib.simulation.views import true_views
 from rgbd_calib.types import Board, BoardView, Rig
+from rgbd_calib.views.association import associate
+from rgbd_calib.views.board_pose import pose_view
 
 MAX_ROTATION_RAD, MAX_SHIFT_M = np.radians(1.0), 0.04
 """Of rough poses from single views at 2 m: a board of 0.5 m with 0.1 px of noise is tilted by 0.2 degrees at most, which

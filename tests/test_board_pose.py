@@ -11,8 +11,8 @@ from synthetic_views import BOARD, lens_of, without_depth
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import camera, resection, se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
-from rgbd_calib.stages.board_pose import BoardPoseParams, pose_view
 from rgbd_calib.types import Board, BoardView, DepthBias
+from rgbd_calib.views.board_pose import BoardPoseParams, pose_view
 
 SMALL = Board(9, 6, 0.015)
 FAR = Intrinsics(640, 480, 575.0, 575.0, 319.5, 239.5)

@@ -14,7 +14,7 @@ from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.pipeline.evaluate import against_truth
-from rgbd_calib.stages.bundle import (
+from rgbd_calib.rig.bundle import (
     BundleParams,
     BundleResult,
     CameraPrior,
@@ -24,8 +24,8 @@ from rgbd_calib.stages.bundle import (
     solve,
     variance,
 )
-from rgbd_calib.stages.bundle.start import depth_ranges, depth_units, prior_of, start
-from rgbd_calib.synthetic.views import ViewNoise, true_views
+from rgbd_calib.rig.bundle.start import depth_ranges, depth_units, prior_of, start
+from rgbd_calib.simulation.views import ViewNoise, true_views
 from rgbd_calib.types import Board, DepthBias, PlacedView, Rig, RigCamera
 
 NOISE = ViewNoise(0.1, 0.7e-3, 0.0)

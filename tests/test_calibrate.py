@@ -206,7 +206,7 @@ def realsense(real_data, tmp_path, run, *args) -> tuple[dict, str]:
 def realsense_corners(real_data, tmp_path_factory):
     """Corners of realsense3, found once."""
     from rgbd_calib.pipeline.detection import detect
-    from rgbd_calib.stages.detect import DetectParams
+    from rgbd_calib.views.detect import DetectParams
 
     path = tmp_path_factory.mktemp("realsense") / "corners.csv"
     write_corners(path, detect(open_recording(real_data("realsense3")), DetectParams()).views)

@@ -9,7 +9,7 @@ from synthetic_views import BOARD, arc, bias_of, make_recording
 from rgbd_calib.io.files import load_yaml
 from rgbd_calib.io.recording import CameraInfo, save_color, save_depth, write_dataset, write_table
 from rgbd_calib.io.rig import read_depth_bias
-from rgbd_calib.synthetic.depth_sensor import biased
+from rgbd_calib.simulation.depth_sensor import biased
 
 W, H = 64, 48
 

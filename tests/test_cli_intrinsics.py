@@ -16,7 +16,7 @@ from rgbd_calib.io.rig import read_intrinsics, read_intrinsics_sd
 from rgbd_calib.pipeline.calibrate import calibrate
 from rgbd_calib.pipeline.config import load_config
 from rgbd_calib.pipeline.detection import Detections
-from rgbd_calib.synthetic.views import true_views
+from rgbd_calib.simulation.views import true_views
 
 
 def close_recording(folder, square_on=False):

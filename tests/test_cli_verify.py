@@ -18,8 +18,8 @@ from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_boards, read_rig, write_intrinsics, write_rig
 from rgbd_calib.pipeline.detection import detect
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.stages.detect import DetectParams
 from rgbd_calib.types import Rig, RigCamera
+from rgbd_calib.views.detect import DetectParams
 
 LENS = Intrinsics(WIDTH, HEIGHT, FOCAL_PX, FOCAL_PX, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
 SD = np.diag([1e-4**2] * 3 + [2e-4**2] * 3)

@@ -20,9 +20,9 @@ from synthetic_views import (
 )
 
 from rgbd_calib.geometry import camera, se3
-from rgbd_calib.stages.correspondence import correspond
-from rgbd_calib.synthetic.views import true_views
+from rgbd_calib.simulation.views import true_views
 from rgbd_calib.types import Board, Rig
+from rgbd_calib.views.correspondence import correspond
 
 THICK = Board(9, 6, 0.06, True, 0.02)
 

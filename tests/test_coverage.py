@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from rgbd_calib.stages.coverage import CoverageParams, measure_coverage, nominal_intrinsics, place_view
 from rgbd_calib.types import Board, BoardView
+from rgbd_calib.views.coverage import CoverageParams, measure_coverage, nominal_intrinsics, place_view
 
 BOARD = Board(9, 6, 0.06)
 SIZE = (640, 480)

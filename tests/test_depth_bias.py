@@ -7,8 +7,8 @@ import pytest
 from numpy.polynomial import polynomial
 from scipy.stats import norm
 
+from rgbd_calib.cameras.depth_bias import DepthBiasParams, _fit, fit_depth_bias, fit_with_data
 from rgbd_calib.errors import CalibrationError
-from rgbd_calib.stages.depth_bias import DepthBiasParams, _fit, fit_depth_bias, fit_with_data
 
 C = np.array([0.012, -0.015, 0.004])
 

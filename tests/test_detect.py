@@ -8,11 +8,11 @@ import pytest
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.recording import open_recording
-from rgbd_calib.stages.detect import DetectParams, checkerboard, corner_depth, detect_view, find_corners, orient, refine
-from rgbd_calib.stages.detect.charuco import _layout
-from rgbd_calib.stages.detect.saddles import board_corners
-from rgbd_calib.stages.detect.subpixel import _crossing
 from rgbd_calib.types import Board
+from rgbd_calib.views.detect import DetectParams, checkerboard, corner_depth, detect_view, find_corners, orient, refine
+from rgbd_calib.views.detect.charuco import _layout
+from rgbd_calib.views.detect.saddles import board_corners
+from rgbd_calib.views.detect.subpixel import _crossing
 
 BOARD = Board(9, 6, 0.06)
 CHARUCO = Board(8, 5, 0.06, type="charuco", marker_m=0.045, dictionary="DICT_5X5_250")

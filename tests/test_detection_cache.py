@@ -21,8 +21,8 @@ from rgbd_calib.pipeline import detection, detection_cache
 from rgbd_calib.pipeline.detection import detect
 from rgbd_calib.pipeline.detection_cache import contents, entry, key_of, read_entry
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.stages.detect import DetectParams
 from rgbd_calib.types import Board, BoardView
+from rgbd_calib.views.detect import DetectParams
 
 AT = ("C1", "000000")
 

@@ -12,11 +12,11 @@ from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.verify import fit_views, sentence, verify_views
-from rgbd_calib.stages.association import AssociationParams, label_views
-from rgbd_calib.stages.board_pose import pose_view
-from rgbd_calib.stages.displacement import VerdictParams, locate_cameras
-from rgbd_calib.synthetic.views import ViewNoise, true_views
+from rgbd_calib.simulation.views import ViewNoise, true_views
+from rgbd_calib.trust.displacement import VerdictParams, locate_cameras
 from rgbd_calib.types import Board, DepthBias, Rig, RigCamera
+from rgbd_calib.views.association import AssociationParams, label_views
+from rgbd_calib.views.board_pose import pose_view
 
 BOARD = Board(9, 6, 0.06, two_sided=True, thickness_m=0.006)
 NOISE, LIMITS = ViewNoise(), VerdictParams()

@@ -19,8 +19,8 @@ from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import detect
 from rgbd_calib.pipeline.doctor import examine
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.stages.detect import DetectParams, detect_view
-from rgbd_calib.stages.doctor import hull_mask
+from rgbd_calib.views.detect import DetectParams, detect_view
+from rgbd_calib.views.doctor import hull_mask
 
 LENS = Intrinsics(WIDTH, HEIGHT, FOCAL_PX, FOCAL_PX, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
 AT = ("C2", "000003")

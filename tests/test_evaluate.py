@@ -25,7 +25,7 @@ from rgbd_calib.geometry import se3
 from rgbd_calib.io.rig import write_rig
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.evaluate import against_truth, against_views, place_views
-from rgbd_calib.synthetic.views import true_views
+from rgbd_calib.simulation.views import true_views
 from rgbd_calib.types import Rig
 
 RIG = arc(3, biased=True)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rgbd_calib.geometry import camera, se3
-from rgbd_calib.synthetic.features import paper_scene, visible_points
-from rgbd_calib.synthetic.scene import Caster
+from rgbd_calib.simulation.features import paper_scene, visible_points
+from rgbd_calib.simulation.scene import Caster
 
 
 @pytest.mark.parametrize("n_cameras", [2, 4])

@@ -11,7 +11,7 @@ from synthetic_views import arc, pose_errors
 
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import camera, se3
-from rgbd_calib.stages.initialization import initialize
+from rgbd_calib.rig.initialization import initialize
 from rgbd_calib.types import Correspondences, Rig
 
 LENSES = {name: own.intrinsics for name, own in arc(4).cameras.items()}

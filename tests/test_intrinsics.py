@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from synthetic_views import BOARD, HEIGHT, WIDTH, lens_of
 
+from rgbd_calib.cameras.intrinsics import IntrinsicsParams, calibrate_intrinsics
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import camera, se3, so3
-from rgbd_calib.stages.intrinsics import IntrinsicsParams, calibrate_intrinsics
 from rgbd_calib.types import BoardView
 
 LENS = lens_of(1)

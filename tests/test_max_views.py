@@ -14,7 +14,7 @@ from rgbd_calib.pipeline.calibrate import prepare_views
 from rgbd_calib.pipeline.config import load_config
 from rgbd_calib.pipeline.detection import Detections
 from rgbd_calib.pipeline.evaluate import against_truth
-from rgbd_calib.stages.bundle.selection import choose_frames
+from rgbd_calib.rig.bundle.selection import choose_frames
 
 FRAMES, FEW = 48, 12
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from synthetic_views import BOARD, CORNER_NOISE, arc, board_poses, without_depth
 
-from rgbd_calib.stages.plane_filter import PlaneFilterParams, filter_planes
-from rgbd_calib.synthetic.views import true_views
+from rgbd_calib.simulation.views import true_views
+from rgbd_calib.views.plane_filter import PlaneFilterParams, filter_planes
 
 RIG = arc(2)
 LENSES = {name: own.intrinsics for name, own in RIG.cameras.items()}

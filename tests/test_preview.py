@@ -12,9 +12,9 @@ import pytest
 from small_recording import draw_recording
 from virtual_rig import VirtualRig, build_redist, check_whole, feed, finish
 
+from rgbd_calib.capture.preview import parse_address
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.recording import open_recording
-from rgbd_calib.pipeline.capture.preview import parse_address
 
 
 @pytest.fixture
@@ -98,5 +98,5 @@ def test_addresses_that_are_wrong(text):
 
 
 def test_the_page_needs_nothing_from_elsewhere():
-    page = (Path(__file__).parents[1] / "rgbd_calib/pipeline/capture/preview.html").read_text()
+    page = (Path(__file__).parents[1] / "rgbd_calib/capture/preview.html").read_text()
     assert set(re.findall(r"https?://[^\s\"'`]+", page)) == {"http://www.w3.org/2000/svg"}

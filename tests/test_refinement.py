@@ -8,7 +8,7 @@ from refinement_cases import make
 
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3
-from rgbd_calib.stages.refinement import RefinementParams, refine
+from rgbd_calib.rig.biobjective import RefinementParams, refine
 
 
 def error(result, truth):

@@ -6,7 +6,7 @@ from refinement_cases import make
 
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3
-from rgbd_calib.stages.refinement import CloudParams, RefinementParams, refine_clouds
+from rgbd_calib.rig.biobjective import CloudParams, RefinementParams, refine_clouds
 
 
 def room(rng, n=30_000):

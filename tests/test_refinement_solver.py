@@ -6,11 +6,11 @@ from refinement_cases import LENS, make
 from scipy.optimize import least_squares
 
 from rgbd_calib.geometry import camera, se3
-from rgbd_calib.stages.refinement import RefinementParams, groups, kernels, refine, solver
-from rgbd_calib.stages.refinement import problem as problems
-from rgbd_calib.stages.refinement.loss import Loss
-from rgbd_calib.stages.refinement.moments import MomentTerm
-from rgbd_calib.stages.refinement.terms import MeasuredPointTerm
+from rgbd_calib.rig.biobjective import RefinementParams, groups, kernels, refine, solver
+from rgbd_calib.rig.biobjective import problem as problems
+from rgbd_calib.rig.biobjective.loss import Loss
+from rgbd_calib.rig.biobjective.moments import MomentTerm
+from rgbd_calib.rig.biobjective.terms import MeasuredPointTerm
 
 
 def residuals_2d(data, K, T, X):

@@ -17,7 +17,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.residuals import Residuals, read_residuals, residuals_path, write_residuals
 from rgbd_calib.io.rig import read_boards, read_rig, write_intrinsics
 from rgbd_calib.report import numbers
-from rgbd_calib.report.verdict import FAIR_MM, GOOD_MM, NOISE_FACTOR, judge
+from rgbd_calib.trust.verdict import FAIR_MM, GOOD_MM, NOISE_FACTOR, judge
 
 CAMERAS = ("C1", "C2", "C3")
 FRAMES = 6

@@ -12,13 +12,10 @@ from rgbd_calib.geometry import se3
 from rgbd_calib.io.correspondences import write_corners
 from rgbd_calib.io.files import load_yaml
 from rgbd_calib.io.rig import read_rig
-from rgbd_calib.pipeline.equations import equations_of
-from rgbd_calib.pipeline.self_check import check_bundle, of_calibration
 from rgbd_calib.report.page import Contents, render
-from rgbd_calib.report.verdict import judge
-from rgbd_calib.stages.association import AssociationResult
-from rgbd_calib.stages.bundle import BundleResult, CameraPrior, bundle, solve
-from rgbd_calib.stages.self_check import (
+from rgbd_calib.rig.bundle import BundleResult, CameraPrior, bundle, solve
+from rgbd_calib.simulation.views import ViewNoise, true_views
+from rgbd_calib.trust.self_check import (
     NO_MOMENT,
     Equations,
     Noise,
@@ -35,8 +32,11 @@ from rgbd_calib.stages.self_check import (
     outcomes_of,
     score_test,
 )
-from rgbd_calib.synthetic.views import ViewNoise, true_views
+from rgbd_calib.trust.self_check.bundle_equations import equations_of
+from rgbd_calib.trust.self_check.calibration import check_bundle, of_calibration
+from rgbd_calib.trust.verdict import judge
 from rgbd_calib.types import DepthBias, Rig
+from rgbd_calib.views.association import AssociationResult
 
 PARAMS = SelfCheckParams()
 LOCAL = {"a": slice(0, 3), "b": slice(3, 5), "board": slice(5, 11), "extra": slice(11, 13)}
@@ -164,7 +164,7 @@ def test_frames_held_out_by_formula_and_by_a_real_refit(monkeypatch):
 
     Of the bundle's own cost, which does not scale the depth's noise with its bias.
     """
-    monkeypatch.setattr("rgbd_calib.pipeline.equations._scale_noise", lambda *args: None)
+    monkeypatch.setattr("rgbd_calib.trust.self_check.bundle_equations._scale_noise", lambda *args: None)
     result, frames = solved(sv.arc(3, biased=True), 0)
     eq = equations_of(result, sv.BOARD, frames)
     alone = result.covariance - result.common.covariance
@@ -352,7 +352,7 @@ def test_a_check_that_cannot_be_made_is_not_passed(monkeypatch):
     def singular(*args):
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr("rgbd_calib.pipeline.self_check.outcomes_of", singular)
+    monkeypatch.setattr("rgbd_calib.trust.self_check.calibration.outcomes_of", singular)
     nothing = AssociationResult((), {}, {}, (), "C1")
     quality = of_calibration(result, None, [], nothing, sv.BOARD, frames, 0.0, PARAMS)
     assert quality["self_check"]["trusted"] is False

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rgbd_calib.capture.stillness import StillBoard, StillParams
 from rgbd_calib.errors import ConfigError
-from rgbd_calib.pipeline.capture.stillness import StillBoard, StillParams
 from rgbd_calib.sensors.clock import DeviceClock
 from rgbd_calib.sensors.depth_average import median_depth
 from rgbd_calib.sensors.frame_sets import tightest_frame_set

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rgbd_calib.synthetic.faults import FAULTS, RINGS
+from rgbd_calib.simulation.faults import FAULTS, RINGS
 
 _PATH = Path(__file__).parents[1] / "scripts" / "study_silent_failures.py"
 _SPEC = importlib.util.spec_from_file_location("study_silent_failures", _PATH)

@@ -15,16 +15,16 @@ from rgbd_calib.geometry import camera, se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_boards, read_rig
-from rgbd_calib.synthetic import board as boards
-from rgbd_calib.synthetic import rig as rigs
-from rgbd_calib.synthetic.depth_sensor import DepthNoise, biased, measure
-from rgbd_calib.synthetic.poses import close_poses, looks_at_back, shared_poses
-from rgbd_calib.synthetic.recording import SimulationParams, simulate
-from rgbd_calib.synthetic.render import ColorNoise, Picture, View, develop, render_with_board
-from rgbd_calib.synthetic.room import furnished_room
-from rgbd_calib.synthetic.scene import Caster, box
-from rgbd_calib.synthetic.textures import encode, linear, plain
-from rgbd_calib.synthetic.wall import render_wall
+from rgbd_calib.simulation import board as boards
+from rgbd_calib.simulation import rig as rigs
+from rgbd_calib.simulation.depth_sensor import DepthNoise, biased, measure
+from rgbd_calib.simulation.poses import close_poses, looks_at_back, shared_poses
+from rgbd_calib.simulation.recording import SimulationParams, simulate
+from rgbd_calib.simulation.render import ColorNoise, Picture, View, develop, render_with_board
+from rgbd_calib.simulation.room import furnished_room
+from rgbd_calib.simulation.scene import Caster, box
+from rgbd_calib.simulation.textures import encode, linear, plain
+from rgbd_calib.simulation.wall import render_wall
 from rgbd_calib.types import Board
 
 BOARD = Board(9, 6, 0.060, two_sided=True, thickness_m=0.006)

@@ -11,8 +11,8 @@ import pytest
 from rgbd_calib.cli.options import progress
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.recording import open_recording
-from rgbd_calib.synthetic.recording import SimulationParams, simulate
-from rgbd_calib.synthetic.spoil import Kind, spoil, true_corners
+from rgbd_calib.simulation.recording import SimulationParams, simulate
+from rgbd_calib.simulation.spoil import Kind, spoil, true_corners
 
 PARAMS = SimulationParams(cameras=2, frames=5, intrinsic_views=0, distances_m=(), width=320, height=240, seed=7)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from rgbd_calib.stages.wall import wall_depth
+from rgbd_calib.cameras.wall import wall_depth
 
 W, H, F = 320, 240, 280.0
 CENTRE = (158.3, 121.9)

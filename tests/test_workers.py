@@ -155,7 +155,7 @@ def test_a_recording_that_the_workers_do_not_see(cluster, tmp_path, monkeypatch)
     from rgbd_calib.pipeline.config import Config
     from rgbd_calib.pipeline.detection import detect
     from rgbd_calib.pipeline.doctor import examine
-    from rgbd_calib.stages.detect import DetectParams
+    from rgbd_calib.views.detect import DetectParams
 
     opened = open_recording(draw_recording(tmp_path / "recording", 2, 1))
     assert opened.color_files
@@ -172,7 +172,7 @@ def test_a_recording_that_the_workers_do_not_see(cluster, tmp_path, monkeypatch)
 def test_workers_with_another_detector_are_refused(cluster, tmp_path, monkeypatch):
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.pipeline import detection
-    from rgbd_calib.stages.detect import DetectParams
+    from rgbd_calib.views.detect import DetectParams
 
     monkeypatch.setattr(detection, "detector", lambda: "another OpenCV")
     with pytest.raises(ConfigError, match="the same are needed for the same result"):

@@ -157,7 +157,7 @@ def command(
     from rgbd_calib.pipeline.detection import detections_from
     from rgbd_calib.pipeline.prepare import check_sources
     from rgbd_calib.pipeline.world import in_world
-    from rgbd_calib.report.verdict import judge
+    from rgbd_calib.trust.verdict import judge
 
     opened = open_recording(recording)
     if world in opened.cameras:

@@ -102,11 +102,11 @@ def command(
 
     from rich.console import Console
 
-    from rgbd_calib.pipeline.capture.modes import ModeParams
-    from rgbd_calib.pipeline.capture.session import CaptureParams, capture
-    from rgbd_calib.pipeline.capture.shots import DepthParams
+    from rgbd_calib.capture.modes import ModeParams
+    from rgbd_calib.capture.session import CaptureParams, capture
+    from rgbd_calib.capture.shots import DepthParams
     from rgbd_calib.sensors.identity import parse_devices
-    from rgbd_calib.stages.coverage import CoverageParams
+    from rgbd_calib.views.coverage import CoverageParams
 
     wait_for_stillness = on_still or (intrinsic and interval is None)
     mode = ModeParams(
@@ -139,7 +139,7 @@ def command(
 def _parse_address(text: str | None) -> tuple[str, int] | None:
     if text is None:
         return None
-    from rgbd_calib.pipeline.capture.preview import parse_address
+    from rgbd_calib.capture.preview import parse_address
 
     return parse_address(text)
 
@@ -156,7 +156,7 @@ def _parse_distances(text: str | None) -> tuple[float, ...]:
 
 def _ask_distance(camera: str, proposed_m: float | None) -> float | None:
     """The next distance: asked of the person at the keyboard; without one, the proposed one at once."""
-    from rgbd_calib.pipeline.capture.signals import waiting_for_keyboard
+    from rgbd_calib.capture.signals import waiting_for_keyboard
 
     if not sys.stdin.isatty():
         if proposed_m is None:
@@ -182,7 +182,7 @@ def _ask_distance(camera: str, proposed_m: float | None) -> float | None:
 
 
 def _summarize(out: Path, result: object) -> None:
-    from rgbd_calib.pipeline.capture.session import CaptureResult
+    from rgbd_calib.capture.session import CaptureResult
 
     assert isinstance(result, CaptureResult)
     tally = result.tally

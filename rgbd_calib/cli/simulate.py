@@ -127,9 +127,9 @@ def command(
     import time
 
     from rgbd_calib.io.files import whole_folder
-    from rgbd_calib.synthetic.depth_sensor import DepthNoise
-    from rgbd_calib.synthetic.recording import SimulationParams, simulate
-    from rgbd_calib.synthetic.render import ColorNoise
+    from rgbd_calib.simulation.depth_sensor import DepthNoise
+    from rgbd_calib.simulation.recording import SimulationParams, simulate
+    from rgbd_calib.simulation.render import ColorNoise
     from rgbd_calib.types import Board
 
     params = SimulationParams(

@@ -61,7 +61,7 @@ def command(
     from rgbd_calib.pipeline.detection import detections_from
     from rgbd_calib.pipeline.rig_inputs import left_out
     from rgbd_calib.pipeline.verify import summary, verify
-    from rgbd_calib.stages.displacement import VerdictParams
+    from rgbd_calib.trust.displacement import VerdictParams
 
     rig, opened, settings = read_rig(rig_path), open_recording(recording), load_config(config)
     if left_out(opened, rig):

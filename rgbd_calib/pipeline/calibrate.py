@@ -17,16 +17,15 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import plain
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.residuals import Residuals
-from rgbd_calib.pipeline import details, max_views, self_check
+from rgbd_calib.pipeline import details, max_views
 from rgbd_calib.pipeline.config import Config, as_plain
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.pipeline.evaluate import Evaluation, against_views
 from rgbd_calib.pipeline.prepare import IntrinsicsSource, check_sources, resolve_depth_bias, resolve_intrinsics
 from rgbd_calib.pipeline.quality import bundle_quality, common_quality, finite, refinement_quality, steps_of
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.stages.association import AssociationResult, associate
-from rgbd_calib.stages.board_pose import pose_view
-from rgbd_calib.stages.bundle import (
+from rgbd_calib.rig.biobjective import RefinementParams, RefinementResult, refine
+from rgbd_calib.rig.bundle import (
     BundleResult,
     board_poses,
     bundle,
@@ -34,12 +33,14 @@ from rgbd_calib.stages.bundle import (
     free_structure,
     pose_covariance,
 )
-from rgbd_calib.stages.correspondence import correspond
-from rgbd_calib.stages.depth_scale import check_depth_scale
-from rgbd_calib.stages.initialization import initialize
-from rgbd_calib.stages.plane_filter import PlaneFilterResult, filter_planes
-from rgbd_calib.stages.refinement import RefinementParams, RefinementResult, refine
+from rgbd_calib.rig.initialization import initialize
+from rgbd_calib.trust.self_check import calibration as self_check
 from rgbd_calib.types import Board, BoardView, Correspondences, DepthBias, PlacedView, Rig, RigCamera
+from rgbd_calib.views.association import AssociationResult, associate
+from rgbd_calib.views.board_pose import pose_view
+from rgbd_calib.views.correspondence import correspond
+from rgbd_calib.views.depth_scale import check_depth_scale
+from rgbd_calib.views.plane_filter import PlaneFilterResult, filter_planes
 
 
 @dataclass(frozen=True)

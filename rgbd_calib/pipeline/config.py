@@ -10,19 +10,19 @@ from typing import Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
 
+from rgbd_calib.cameras.depth_bias import DepthBiasParams
+from rgbd_calib.cameras.intrinsics import IntrinsicsParams
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.files import load_yaml
 from rgbd_calib.io.tables import short
-from rgbd_calib.stages.association import AssociationParams
-from rgbd_calib.stages.board_pose import BoardPoseParams
-from rgbd_calib.stages.bundle import BundleParams
-from rgbd_calib.stages.depth_bias import DepthBiasParams
-from rgbd_calib.stages.detect import DetectParams
-from rgbd_calib.stages.initialization import InitializationParams
-from rgbd_calib.stages.intrinsics import IntrinsicsParams
-from rgbd_calib.stages.plane_filter import PlaneFilterParams
-from rgbd_calib.stages.refinement import RefinementParams
-from rgbd_calib.stages.self_check import SelfCheckParams
+from rgbd_calib.rig.biobjective import RefinementParams
+from rgbd_calib.rig.bundle import BundleParams
+from rgbd_calib.rig.initialization import InitializationParams
+from rgbd_calib.trust.self_check import SelfCheckParams
+from rgbd_calib.views.association import AssociationParams
+from rgbd_calib.views.board_pose import BoardPoseParams
+from rgbd_calib.views.detect import DetectParams
+from rgbd_calib.views.plane_filter import PlaneFilterParams
 
 _LARGEST = 1e12
 Method = Literal["init", "ba", "icp", "baicp+", "biobjective", "bundle"]

@@ -16,12 +16,12 @@ from rgbd_calib.geometry import camera as lens
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.residuals import Residuals
-from rgbd_calib.stages.bundle import BundleResult, model
-from rgbd_calib.stages.correspondence import correspond
-from rgbd_calib.stages.initialization import InitializationParams, initialize
-from rgbd_calib.stages.refinement import RefinementResult
-from rgbd_calib.stages.uncertainty import expected_alignment, volume
+from rgbd_calib.rig.biobjective import RefinementResult
+from rgbd_calib.rig.bundle import BundleResult, model
+from rgbd_calib.rig.initialization import InitializationParams, initialize
+from rgbd_calib.trust.uncertainty import expected_alignment, volume
 from rgbd_calib.types import Board, Correspondences, PlacedView, Rig
+from rgbd_calib.views.correspondence import correspond
 
 GRID = 9
 """Points along each side of the working volume: 729 lines at most in a rig file."""

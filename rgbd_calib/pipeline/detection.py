@@ -14,8 +14,8 @@ from rgbd_calib.io.correspondences import read_corners
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.detection_cache import Contents, DetectionCache, contents, detector
 from rgbd_calib.pipeline.workers import Ready, Workers
-from rgbd_calib.stages.detect import DetectParams, detect_view
 from rgbd_calib.types import Board, BoardView
+from rgbd_calib.views.detect import DetectParams, detect_view
 
 Progress = Callable[[Iterable[Any], int, str], Iterator[Any]]
 """Items, how many, and what is being done: yields the items and shows how far it is."""

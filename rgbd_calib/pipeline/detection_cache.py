@@ -24,8 +24,8 @@ import rgbd_calib
 from rgbd_calib.io.cache import FileCache
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.stages.detect import DetectParams
 from rgbd_calib.types import Board, BoardView
+from rgbd_calib.views.detect import DetectParams
 
 Contents = tuple[str, str]
 """SHA-256 of the colour file and of the depth file, empty where there is no depth."""
@@ -40,7 +40,7 @@ def detector() -> str:
     read_by = [root / "io" / name for name in ("recording.py", "images.py")]
     sources = hashlib.sha256()
     for path in [
-        *sorted(root.glob("stages/detect/*.py")),
+        *sorted(root.glob("views/detect/*.py")),
         *sorted(root.glob("geometry/*.py")),
         root / "types.py",
         *read_by,

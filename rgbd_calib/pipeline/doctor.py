@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from rgbd_calib.cameras.intrinsics import calibrate_intrinsics
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import camera as lens
 from rgbd_calib.geometry import se3
@@ -23,15 +24,14 @@ from rgbd_calib.pipeline.detection import Progress, board_of, check_detector, ch
 from rgbd_calib.pipeline.detection_cache import Contents, DetectionCache, contents, detector
 from rgbd_calib.pipeline.verify import fit_views
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.stages import doctor
-from rgbd_calib.stages.association import AssociationResult, associate
-from rgbd_calib.stages.board_pose import pose_view
-from rgbd_calib.stages.coverage import CoverageParams, measure_coverage, nominal_intrinsics
-from rgbd_calib.stages.detect import DetectParams, detect_view
-from rgbd_calib.stages.displacement import CameraPoses, joined_to, locate_cameras
-from rgbd_calib.stages.doctor import DoctorParams, Finding, ImageMeasures, ViewMeasures
-from rgbd_calib.stages.intrinsics import calibrate_intrinsics
+from rgbd_calib.trust.displacement import CameraPoses, joined_to, locate_cameras
 from rgbd_calib.types import Board, BoardView, PosedView, Rig, RigCamera
+from rgbd_calib.views import doctor
+from rgbd_calib.views.association import AssociationResult, associate
+from rgbd_calib.views.board_pose import pose_view
+from rgbd_calib.views.coverage import CoverageParams, measure_coverage, nominal_intrinsics
+from rgbd_calib.views.detect import DetectParams, detect_view
+from rgbd_calib.views.doctor import DoctorParams, Finding, ImageMeasures, ViewMeasures
 
 Key = tuple[str, str]
 MIN_DISTANCES, MIN_RANGE = 5, 2.0

@@ -23,11 +23,11 @@ from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Progress, board_of, detections_from
 from rgbd_calib.pipeline.rig_inputs import common_cameras
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.stages import uncertainty
-from rgbd_calib.stages.association import label_views
-from rgbd_calib.stages.board_pose import pose_view
-from rgbd_calib.stages.plane_filter import filter_planes
+from rgbd_calib.trust import uncertainty
 from rgbd_calib.types import Board, BoardView, PlacedView, Rig
+from rgbd_calib.views.association import label_views
+from rgbd_calib.views.board_pose import pose_view
+from rgbd_calib.views.plane_filter import filter_planes
 
 GRID = 12
 """Points along each side of the working volume."""

@@ -13,13 +13,13 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import CameraInfo
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.prepare import IntrinsicsSource
-from rgbd_calib.stages.association import AssociationResult
-from rgbd_calib.stages.board_pose import pose_view
-from rgbd_calib.stages.bundle import CameraPrior
-from rgbd_calib.stages.bundle.selection import FrameChoice, choose_frames
-from rgbd_calib.stages.plane_filter import filter_planes
-from rgbd_calib.stages.uncertainty import expected_alignment, volume
+from rgbd_calib.rig.bundle import CameraPrior
+from rgbd_calib.rig.bundle.selection import FrameChoice, choose_frames
+from rgbd_calib.trust.uncertainty import expected_alignment, volume
 from rgbd_calib.types import Board, DepthBias, PlacedView, Rig, RigCamera
+from rgbd_calib.views.association import AssociationResult
+from rgbd_calib.views.board_pose import pose_view
+from rgbd_calib.views.plane_filter import filter_planes
 
 GRID = 5
 """Points along each side of the working volume: enough for a mean."""

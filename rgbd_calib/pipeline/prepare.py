@@ -9,6 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from rgbd_calib.cameras.depth_bias import DepthBiasFit, fit_with_data
+from rgbd_calib.cameras.intrinsics import IntrinsicsResult, calibrate_intrinsics
+from rgbd_calib.cameras.wall import wall_depth
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
@@ -17,11 +20,8 @@ from rgbd_calib.io.rig import read_depth_bias, read_depth_bias_samples, read_int
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.stages.board_pose import pose_view
-from rgbd_calib.stages.depth_bias import DepthBiasFit, fit_with_data
-from rgbd_calib.stages.intrinsics import IntrinsicsResult, calibrate_intrinsics
-from rgbd_calib.stages.wall import wall_depth
 from rgbd_calib.types import BoardView, DepthBias
+from rgbd_calib.views.board_pose import pose_view
 
 
 def intrinsics_of_views(

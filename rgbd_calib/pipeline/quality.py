@@ -9,9 +9,9 @@ import numpy as np
 
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.evaluate import Evaluation
-from rgbd_calib.stages.bundle import BundleResult
-from rgbd_calib.stages.initialization import InitializationResult
-from rgbd_calib.stages.refinement import RefinementResult
+from rgbd_calib.rig.biobjective import RefinementResult
+from rgbd_calib.rig.bundle import BundleResult
+from rgbd_calib.rig.initialization import InitializationResult
 
 if TYPE_CHECKING:
     from rgbd_calib.pipeline.calibrate import Views

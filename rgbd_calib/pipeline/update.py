@@ -26,12 +26,12 @@ from rgbd_calib.pipeline.prepare import IntrinsicsSource, resolve_depth_bias, re
 from rgbd_calib.pipeline.rig_inputs import common_cameras
 from rgbd_calib.pipeline.verify import verify_views
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.stages.association import associate, label_views
-from rgbd_calib.stages.board_pose import pose_view
-from rgbd_calib.stages.bundle import BundleResult, CameraPrior, bundle, camera_statistics, pose_covariance
-from rgbd_calib.stages.displacement import VerdictParams
-from rgbd_calib.stages.plane_filter import filter_planes
+from rgbd_calib.rig.bundle import BundleResult, CameraPrior, bundle, camera_statistics, pose_covariance
+from rgbd_calib.trust.displacement import VerdictParams
 from rgbd_calib.types import Board, BoardView, DepthBias, PlacedView, PosedView, Rig, RigCamera
+from rgbd_calib.views.association import associate, label_views
+from rgbd_calib.views.board_pose import pose_view
+from rgbd_calib.views.plane_filter import filter_planes
 
 _OTHERS = "the rig's other cameras"
 MAX_OTHERS_M = 0.010

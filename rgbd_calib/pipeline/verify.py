@@ -14,9 +14,7 @@ from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import board_of
 from rgbd_calib.pipeline.rig_inputs import common_cameras
-from rgbd_calib.stages.association import associate, label_views
-from rgbd_calib.stages.board_pose import pose_view
-from rgbd_calib.stages.displacement import (
+from rgbd_calib.trust.displacement import (
     CameraPoses,
     FittedView,
     Noise,
@@ -27,8 +25,10 @@ from rgbd_calib.stages.displacement import (
     judge,
     locate_cameras,
 )
-from rgbd_calib.stages.plane_filter import filter_planes
 from rgbd_calib.types import Board, BoardView, PlacedView, PosedView, Rig
+from rgbd_calib.views.association import associate, label_views
+from rgbd_calib.views.board_pose import pose_view
+from rgbd_calib.views.plane_filter import filter_planes
 
 _MIN_PLANES = 4
 """Views with depth that are needed to say how far depth is off over whole boards."""

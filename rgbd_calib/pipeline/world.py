@@ -20,8 +20,8 @@ from rgbd_calib.pipeline.evaluate import place_views
 from rgbd_calib.pipeline.fuse import clouds_of
 from rgbd_calib.pipeline.rig_inputs import common_cameras
 from rgbd_calib.pipeline.verify import fit_views
-from rgbd_calib.stages.displacement import board_poses
-from rgbd_calib.stages.floor import find_floor, world_on_floor
+from rgbd_calib.rig.floor import find_floor, world_on_floor
+from rgbd_calib.trust.displacement import board_poses
 from rgbd_calib.types import Rig
 
 BOARD, FLOOR = "board:", "floor"

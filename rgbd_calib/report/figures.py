@@ -12,8 +12,8 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.residuals import Residuals
 from rgbd_calib.report.numbers import Cells, DistanceBins, ViewResidual
 from rgbd_calib.report.splat import camera_color
-from rgbd_calib.stages.coverage import CameraCoverage, CoverageParams
 from rgbd_calib.types import DepthBias
+from rgbd_calib.views.coverage import CameraCoverage, CoverageParams
 
 Figure = dict[str, Any]
 

@@ -11,8 +11,8 @@ import numpy as np
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.residuals import Residuals
-from rgbd_calib.stages.coverage import Coverage, CoverageParams, measure_coverage
 from rgbd_calib.types import Board, BoardView
+from rgbd_calib.views.coverage import Coverage, CoverageParams, measure_coverage
 
 CELLS = (8, 6)
 """Columns and rows of the cells of an image."""

@@ -17,9 +17,9 @@ from rgbd_calib.io.residuals import Residuals
 from rgbd_calib.report import figures, numbers
 from rgbd_calib.report.figures import Figure, css_color
 from rgbd_calib.report.scene import scene
-from rgbd_calib.report.verdict import FAIR_MM, GOOD_MM, NOISE_FACTOR, judge
-from rgbd_calib.stages.coverage import Coverage, CoverageParams
+from rgbd_calib.trust.verdict import FAIR_MM, GOOD_MM, NOISE_FACTOR, judge
 from rgbd_calib.types import Board, Rig
+from rgbd_calib.views.coverage import Coverage, CoverageParams
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,137 @@
+"""What the person at the board should know now; written by the recording thread, read by terminal and web page."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rgbd_calib.capture.board_watch import Look, board_views
+from rgbd_calib.capture.stillness import Corners
+from rgbd_calib.types import Board
+from rgbd_calib.views.coverage import Coverage, CoverageParams, PlacedView, place_view, summarize_coverage
+
+
+@dataclass(frozen=True)
+class CameraNow:
+    """One camera at this moment."""
+
+    live: bool
+    sees_board: bool
+    corners_px: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    """(n, 2) in the picture that was looked at last."""
+
+
+@dataclass(frozen=True)
+class GuideState:
+    """A moment of the recording."""
+
+    advice: str
+    """What to do now."""
+    frame_sets: int
+    cameras: dict[str, CameraNow]
+    coverage: Coverage | None
+    """None where no board was named."""
+    events: tuple[str, ...]
+    """The last things that went wrong or right again."""
+
+
+class Guide:
+    """Collects views and events; every method may be called from any thread."""
+
+    def __init__(self, cameras: Sequence[str], board: Board | None, params: CoverageParams | None = None) -> None:
+        self._lock = threading.Lock()
+        self._all = tuple(cameras)
+        self._judged = tuple(cameras)
+        self._board = board
+        self._params = params or CoverageParams()
+        self._placed: list[PlacedView] = []
+        self._coverage = summarize_coverage([], self._judged, self._params) if board else None
+        self._advice = ""
+        self._frame_sets = 0
+        self._events: list[str] = []
+        self._live: tuple[str, ...] = self._all
+        self._look: Look | None = None
+        self._listeners: list[Callable[[GuideState], None]] = []
+
+    def listen(self, listener: Callable[[GuideState], None]) -> None:
+        """Call `listener` with the new state after every change."""
+        self._listeners.append(listener)
+
+    def judge(self, cameras: Sequence[str], params: CoverageParams) -> None:
+        """From now on ask for coverage of these cameras by these rules."""
+        with self._lock:
+            self._judged, self._params = tuple(cameras), params
+            self._summarize()
+        self._tell()
+
+    def advise(self, advice: str) -> None:
+        """Say what to do now."""
+        with self._lock:
+            if advice == self._advice:
+                return
+            self._advice = advice
+        self._tell()
+
+    def event(self, text: str) -> None:
+        with self._lock:
+            self._events = [*self._events, text][-5:]
+        self._tell()
+
+    def looked(self, look: Look, live: Sequence[str]) -> None:
+        """A look at the board that is not recorded (yet)."""
+        with self._lock:
+            self._look, self._live = look, tuple(live)
+        self._tell()
+
+    def seen_live(self, live: Sequence[str]) -> None:
+        with self._lock:
+            self._live = tuple(live)
+
+    def recorded(self, frame: str, corners: Mapping[str, Corners], sizes: Mapping[str, tuple[int, int]]) -> None:
+        """A frame set was recorded; `sizes` are (width, height) px."""
+        with self._lock:
+            self._frame_sets += 1
+        self.known(frame, corners, sizes)
+
+    def known(self, frame: str, corners: Mapping[str, Corners], sizes: Mapping[str, tuple[int, int]]) -> None:
+        """The board's place in a frame set that is in the recording."""
+        board = self._board
+        if board is not None:
+            placed = [place_view(v, board, sizes[v.camera], None, self._params) for v in board_views(frame, corners)]
+            with self._lock:
+                self._placed += placed
+                self._summarize()
+        self._tell()
+
+    @property
+    def enough(self) -> bool:
+        with self._lock:
+            return self._coverage is not None and self._coverage.enough
+
+    def state(self) -> GuideState:
+        with self._lock:
+            corners = self._look.corners if self._look else {}
+            cameras = {}
+            for camera in self._all:
+                pixels = corners[camera][1] if camera in corners else np.zeros((0, 2))
+                cameras[camera] = CameraNow(camera in self._live, camera in corners, pixels)
+            return GuideState(self._advice, self._frame_sets, cameras, self._coverage, tuple(self._events))
+
+    def picture(self, camera: str) -> np.ndarray | None:
+        """The picture (h, w, 3), R G B, that the corners of the last look belong to."""
+        with self._lock:
+            frames = self._look.frame_set.frames if self._look else {}
+            return frames[camera].color.pixels if camera in frames else None
+
+    def _summarize(self) -> None:
+        if self._board is not None:
+            self._coverage = summarize_coverage(self._placed, self._judged, self._params)
+
+    def _tell(self) -> None:
+        if self._listeners:
+            state = self.state()
+            for listener in self._listeners:
+                listener(state)

@@ -1,0 +1,72 @@
+"""Views of the board as a detector would give them, without images: true corners with noise, for studies and tests."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rgbd_calib.geometry import camera, se3
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.simulation.depth_sensor import biased
+from rgbd_calib.simulation.poses import looks_at_back
+from rgbd_calib.types import Board, BoardView, Rig
+
+_MIN_COS = 0.25
+"""A board seen at more than 75 degrees from its normal is not found."""
+
+
+@dataclass(frozen=True)
+class ViewNoise:
+    """Noise of a view's corners."""
+
+    sigma_2d_px: float = 0.1
+    k_depth_per_m: float = 0.7e-3
+    """Depth of each corner, k z^2: the mean over a corner's cell of a sensor with 1.6e-3."""
+    k_plane_per_m: float = 0.3e-3
+    """An offset and two tilts of the whole board's depth, each k z^2 at the board's edge: three times what the corners'
+    own noise makes of them on a board of 54."""
+
+
+def true_views(
+    truth: Rig, boards: Mapping[str, FloatArray], board: Board, noise: ViewNoise, rng: np.random.Generator
+) -> tuple[BoardView, ...]:
+    """Every camera's view of every board pose, T_world_board (4, 4) by frame, that shows the whole board."""
+    out = []
+    for frame, T_world_board in boards.items():
+        for name, own in truth.cameras.items():
+            T_color_board = se3.inverse(own.T_world_color) @ T_world_board
+            back = bool(looks_at_back(T_color_board, board))
+            p = se3.transform(T_color_board, board.corners_m(back))
+            middle = p.mean(axis=0)
+            cos = abs(T_color_board[:3, 2] @ middle) / np.linalg.norm(middle)
+            if (back and not board.two_sided) or p[:, 2].min() < 0.3 or cos < _MIN_COS:
+                continue
+            with np.errstate(all="ignore"):
+                px = camera.project(own.intrinsics.vector, p)
+            lens = own.intrinsics
+            inside = np.all((px > 5) & (px < np.array([lens.width, lens.height]) - 6))
+            # far outside the image the lens model folds back
+            if not inside or np.abs(p[:, :2] / p[:, 2:]).max() > lens.width / lens.fx:
+                continue
+            z_m = p[:, 2] if own.depth_bias is None else biased(p[:, 2], own.depth_bias)
+            u, v = np.moveaxis(board.corners_m() / np.ptp(board.corners_m(), axis=0).clip(1e-9), 1, 0)[:2] * 2 - 1
+            plane = np.stack([np.ones_like(u), u, v], axis=1) @ rng.normal(0, noise.k_plane_per_m, 3)
+            z_m = z_m + (plane + rng.normal(0, noise.k_depth_per_m, len(z_m))) * z_m**2
+            found = px + rng.normal(0, noise.sigma_2d_px, px.shape)
+            out.append(BoardView(name, frame, np.arange(len(px)), found, z_m, np.full(len(px), 30)))
+    return tuple(out)
+
+
+def near_poses(
+    boards: Mapping[str, FloatArray], board: Board, n: int, rng: np.random.Generator
+) -> dict[str, FloatArray]:
+    """`n` board poses near some of `boards`: each carried by up to 10 cm and turned by up to 12 degrees."""
+    names = sorted(boards)
+    middle = se3.make(np.eye(3), board.corners_m().mean(axis=0))
+    out = {}
+    for i, k in enumerate(rng.choice(len(names), n, replace=n > len(names))):
+        step = np.concatenate([rng.uniform(-0.2, 0.2, 3), rng.uniform(-0.1, 0.1, 3)])
+        out[f"{i:06d}"] = boards[names[k]] @ middle @ se3.retract(np.eye(4), step) @ se3.inverse(middle)
+    return out

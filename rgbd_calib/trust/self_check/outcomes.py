@@ -1,0 +1,96 @@
+"""All hypotheses tested, and from what failed the best explanation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from rgbd_calib.trust.self_check.equations import Equations, Score
+from rgbd_calib.trust.self_check.findings import Finding, SelfCheckParams
+from rgbd_calib.trust.self_check.hypotheses import hypotheses_of
+from rgbd_calib.trust.self_check.hypothesis import Hypothesis
+
+MAX_TOLD = 5
+"""Sentences; who has five such errors films again."""
+SUSPECT_P, MAX_SUSPECTS = 0.05, 16
+"""What is tested once more: a few by chance, and where something is wrong, the best explanations among many."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """A hypothesis and its outcome."""
+
+    hypothesis: Hypothesis
+    score: Score
+
+    @property
+    def gain(self) -> float:
+        """By how much the hypothesis fits better, its freedom counted (Akaike): orders those that tell of one thing."""
+        return self.score.statistic - 2 * self.score.freedom
+
+    @property
+    def plain_gain(self) -> float:
+        """The same, had views no errors of their own."""
+        return self.score.plain - 2 * self.score.freedom
+
+
+def outcomes_of(eq: Equations, params: SelfCheckParams) -> list[Outcome]:
+    """All of them.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The equations are numerically singular.
+    """
+    outcomes = [Outcome(hypothesis, hypothesis.test(eq)) for hypothesis in hypotheses_of(eq, params)]
+    if not all(np.isfinite(o.score.statistic) for o in outcomes):
+        raise np.linalg.LinAlgError("a statistic is not finite")
+    return _retested(eq, outcomes)
+
+
+def _retested(eq: Equations, outcomes: list[Outcome]) -> list[Outcome]:
+    """Those that would look suspicious if views erred in their corners alone, once more and exactly."""
+    best: dict[tuple[str, tuple[str, ...]], Outcome] = {}
+    for o in outcomes:
+        key = o.hypothesis.name, o.hypothesis.cameras
+        likely = o.score.freedom and float(chi2.sf(o.score.plain, o.score.freedom)) < SUSPECT_P
+        if likely and (key not in best or o.plain_gain > best[key].plain_gain):
+            best[key] = o
+    suspects = sorted(best.values(), key=lambda o: -o.plain_gain)[:MAX_SUSPECTS]
+    return [Outcome(o.hypothesis, o.hypothesis.retest(eq)) if o in suspects else o for o in outcomes]
+
+
+def findings_of(
+    eq: Equations, tests: list[Outcome], params: SelfCheckParams, stated_mm: float
+) -> tuple[list[Finding], Equations]:
+    """The tests that failed and matter, the best explanation first, and the equations with these errors in the model.
+
+    One error shows in many tests: where one camera moved, others seem to, or to have another lens. So what fits best is
+    said, taken into the model, and the others are tested again, until nothing fails that matters (forward selection).
+    """
+    limit, least_m = params.significance / max(len(tests), 1), 1e-3 * max(params.caution_mm, stated_mm)
+    told: list[Outcome] = []
+    left = tests
+    while len(told) < MAX_TOLD:
+        left = [t for t in left if t.score.p < limit and t.score.effect_m > least_m]
+        if not left:
+            break
+        best = max(left, key=lambda t: t.gain)
+        told.append(best)
+        eq = best.hypothesis.accepted(eq)
+        left = _retested(eq, [Outcome(t.hypothesis, t.hypothesis.test(eq)) for t in left if t is not best])
+    findings = [
+        Finding(
+            t.hypothesis.name,
+            "distrust" if 1e3 * t.score.effect_m > max(params.distrust_mm, stated_mm) else "caution",
+            t.hypothesis.cameras,
+            t.hypothesis.say(t.score),
+            t.hypothesis.advice,
+            round(1e3 * t.score.effect_m, 2),
+            t.score.p,
+        )
+        for t in told
+    ]
+    return findings, eq

@@ -1,0 +1,74 @@
+"""The board in one image: its corners to a few hundredths of a pixel, and the depth under them.
+
+A checkerboard is found in three steps. :mod:`.saddles` says in a few milliseconds whether there can be a board at all;
+:mod:`.checkerboard` finds it with OpenCV, plainly first and harder where the plain search fails, and checks the
+colours of its squares; :mod:`.subpixel` fits a model to the brightness around each corner, and drops corners that do
+not lie with the others. A ChArUco board (:mod:`.charuco`) may be seen in part. :mod:`.depth` gives the depth.
+
+Order of the corners: columns and rows make a right-handed pair in the image (x right, y down), and where cols + rows
+is odd the inner square next to corner (0, 0) is black; where it is even, a half turn stays undecided here.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from rgbd_calib.errors import ConfigError
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.types import Board, BoardView, IntArray
+from rgbd_calib.views.detect.charuco import find_charuco
+from rgbd_calib.views.detect.checkerboard import find_checkerboard, orient
+from rgbd_calib.views.detect.depth import corner_depth
+from rgbd_calib.views.detect.params import DetectParams
+from rgbd_calib.views.detect.subpixel import refine
+
+__all__ = ["DetectParams", "corner_depth", "detect_view", "find_corners", "orient", "refine"]
+
+
+def find_corners(
+    gray: np.ndarray, board: Board, params: DetectParams | None = None
+) -> tuple[IntArray, FloatArray] | None:
+    """Corner numbers (n,) and pixels (n, 2) of the board in a grey image (h, w) uint8, or None.
+
+    A checkerboard is found whole, though corners that something covers may be missing; a ChArUco board may be seen in
+    part.
+
+    Raises
+    ------
+    ConfigError
+        A board that cannot be found in any image: its quarter turns look alike, or its dictionary is unknown.
+    """
+    params = params or DetectParams()
+    if board.type == "charuco":
+        found = find_charuco(gray, board)
+    elif board.cols == board.rows:
+        raise ConfigError(
+            f"board: {board.cols} x {board.rows} inner corners; a board with as many columns as rows cannot be told from "
+            "its quarter turns. Use a board with different numbers"
+        )
+    else:
+        found = find_checkerboard(gray, board, params)
+    if found is None:
+        return None
+    ids, corners_px = found
+    clear = (1 - board.marker_m / board.square_m) / 2 if board.type == "charuco" else None
+    corners_px, good = refine(gray, np.column_stack([ids % board.cols, ids // board.cols]), corners_px, clear)
+    if good.sum() < max(params.min_corners, params.min_share * len(ids)):
+        return None
+    return ids[good], corners_px[good]
+
+
+def detect_view(
+    camera: str, frame: str, color: np.ndarray, depth_m: FloatArray | None, board: Board, params: DetectParams
+) -> BoardView | None:
+    """The board in a colour image (h, w, 3) uint8 and its depth image (h, w), metres, or None where it is not seen."""
+    found = find_corners(cv2.cvtColor(color, cv2.COLOR_BGR2GRAY), board, params)
+    if found is None:
+        return None
+    ids, corners_px = found
+    if depth_m is None:
+        depth, pixels = np.full(len(ids), np.nan), np.zeros(len(ids), int)
+    else:
+        depth, pixels = corner_depth(depth_m, board, ids, corners_px, np.random.default_rng(0))
+    return BoardView(camera, frame, ids, corners_px, depth, pixels)
