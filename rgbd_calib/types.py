@@ -6,13 +6,29 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from numpy.polynomial import polynomial
 
 from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.geometry.depth_error import DepthBias as DepthBias
+from rgbd_calib.geometry.depth_error import DepthField as DepthField
+from rgbd_calib.geometry.depth_sensor import DepthCamera as DepthCamera
+from rgbd_calib.geometry.depth_sensor import DepthSensor as DepthSensor
 from rgbd_calib.geometry.so3 import FloatArray
 
 IntArray = np.ndarray
 BoardType = Literal["checkerboard", "charuco"]
+
+
+@dataclass(frozen=True, eq=False)
+class BoardShape:
+    """Where the corners of a board truly are: its print as measured; in the order of the front's corners, metres."""
+
+    front_m: FloatArray
+    """(n, 3), in the board's frame."""
+    back_m: FloatArray | None = None
+    """(n, 3), the back's corner behind each of the front's; None on one-sided boards."""
+    front_sd_m: FloatArray | None = None
+    """(n, 3), standard deviations; None: none are known."""
+    back_sd_m: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -37,6 +53,8 @@ class Board:
     """Name of the ChArUco dictionary as cv2.aruco spells it, as DICT_5X5_250; empty for a checkerboard."""
     legacy: bool = False
     """A ChArUco board in the layout before OpenCV 4.6, where an even number of rows of squares begins with white."""
+    shape: BoardShape | None = None
+    """None: flat, its squares as stated."""
 
     @property
     def n_corners(self) -> int:
@@ -61,8 +79,12 @@ class Board:
         return T
 
     def corners_m(self, back: bool = False) -> FloatArray:
-        """Corners (cols * rows, 3), metres, in the board's frame, of the front or of the back."""
+        """Corners (cols * rows, 3), metres, in the board's frame, of the front or of the back, each in its own order."""
         r, c = np.divmod(np.arange(self.n_corners), self.cols)
+        if self.shape is not None:
+            of_face = self.shape.back_m if back else self.shape.front_m
+            if of_face is not None:
+                return of_face[r * self.cols + (self.cols - 1 - c if back else c)]
         if back:
             return np.stack(
                 [(self.cols - 1 - c) * self.square_m, r * self.square_m, np.full(len(c), self.thickness_m)], 1
@@ -120,31 +142,6 @@ class PlacedView:
 
 
 @dataclass(frozen=True)
-class DepthBias:
-    """z_true = z + c0 + c1 z + c2 z^2 + ..., z in metres, fitted on [min_m, max_m] and held at the ends outside."""
-
-    coefficients: tuple[float, ...]
-    min_m: float
-    max_m: float
-    rms_m: float
-    covariance: FloatArray | None = None
-    """(k, k) of the coefficients, where it is known."""
-
-    def correct(self, z_m: FloatArray) -> FloatArray:
-        """Depth with the bias removed, metres, same shape as `z_m`."""
-        z_m = np.asarray(z_m, float)
-        return z_m + polynomial.polyval(np.clip(z_m, self.min_m, self.max_m), np.array(self.coefficients))
-
-    def standard_error(self, z_m: FloatArray) -> FloatArray:
-        """One sigma of the correction at z_m, metres, same shape; needs the covariance."""
-        if self.covariance is None:
-            raise ValueError("this depth bias has no covariance")
-        z_m = np.asarray(z_m, float)
-        V = polynomial.polyvander(np.clip(z_m, self.min_m, self.max_m), len(self.coefficients) - 1)
-        return np.sqrt(np.einsum("...i,ij,...j->...", V, self.covariance, V)).reshape(z_m.shape)
-
-
-@dataclass(frozen=True)
 class RigCamera:
     """A calibrated camera of the rig."""
 
@@ -157,6 +154,15 @@ class RigCamera:
     """None: the sensor's depth is taken as it is."""
     statistics: dict[str, Any] = field(default_factory=dict)
     """Plain numbers by name, such as sigma_2d_px, sigma_3d_m, views, observations."""
+    depth_field: DepthField | None = None
+    """What its depth errs by over the image."""
+    depth_camera: DepthCamera | None = None
+    """None: depth has the colour camera's geometry."""
+
+    @property
+    def depth_sensor(self) -> DepthSensor:
+        """Its depth sensor, as far as it is known."""
+        return DepthSensor(self.depth_camera or DepthCamera(self.intrinsics), self.depth_bias, self.depth_field)
 
 
 @dataclass(frozen=True)

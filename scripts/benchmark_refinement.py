@@ -22,7 +22,7 @@ from typing import Any
 import click
 import numpy as np
 
-from rgbd_calib.geometry import camera, se3, so3
+from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.rig.biobjective import RefinementParams, groups, refine
 from rgbd_calib.rig.biobjective import problem as problems
@@ -52,7 +52,7 @@ def simulate(cameras: int, points_2d: int, points_3d: int, rng: np.random.Genera
     X = rng.uniform([-0.7, -0.6, 1.8], [0.7, 0.6, 3.2], (points_2d + points_3d, 3))
     p = np.concatenate([se3.transform(T, X) for T in se3.inverse(T_world_color)]).reshape(cameras, -1, 3)
     number = np.repeat(np.arange(cameras), points_2d), np.repeat(np.arange(cameras), points_3d)
-    pixels = camera.project(MODEL.vector, p[:, :points_2d].reshape(-1, 3))
+    pixels = MODEL.project(p[:, :points_2d].reshape(-1, 3))
     names = tuple(f"C{i + 1}" for i in range(cameras))
     data = Correspondences(
         names,

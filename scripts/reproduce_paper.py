@@ -19,7 +19,7 @@ import numpy as np
 
 from rgbd_calib.cli.options import progress, say
 from rgbd_calib.errors import CalibrationError
-from rgbd_calib.geometry import camera, resection, se3, so3
+from rgbd_calib.geometry import resection, se3, so3
 from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.rig.biobjective import RefinementParams, RefinementResult, refine
 from rgbd_calib.simulation.features import paper_scene, visible_points
@@ -101,7 +101,7 @@ def observe(condition: Condition, X2: np.ndarray, X3: np.ndarray, rng: np.random
     _, intrinsics, T_world_color = scene(condition.cameras)
     names = tuple(intrinsics)
     inverse = {c: se3.inverse(T_world_color[c]) for c in names}
-    pixels = np.concatenate([camera.project(intrinsics[c].vector, se3.transform(inverse[c], X2)) for c in names])
+    pixels = np.concatenate([intrinsics[c].project(se3.transform(inverse[c], X2)) for c in names])
     xyz = np.concatenate([se3.transform(inverse[c], X3) for c in names])
     if rng is not None:
         pixels += rng.normal(0, condition.sigma_2d_px, pixels.shape)
@@ -127,7 +127,7 @@ def initial(
     measured = X2 + rng.normal(0, condition.sigma_3d_m, X2.shape)
     poses = {"C1": T_world_color["C1"]}
     for i, name in enumerate(data.cameras[1:], start=1):
-        rays = camera.rays(intrinsics[name].vector, data.pixels_px[data.pixel_camera == i])
+        rays = intrinsics[name].rays(data.pixels_px[data.pixel_camera == i])
         try:
             T_color_world = resection.dlt(measured, rays)
         except CalibrationError:  # a few points may happen to lie on one wall: their homography, then

@@ -11,9 +11,9 @@ from PIL import Image
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.drawings import write_pdf, write_svg
-from rgbd_calib.io.schemas import BoardModel
+from rgbd_calib.io.schema_parts import BoardModel
 from rgbd_calib.report import board_sheet, charuco
-from rgbd_calib.types import Board
+from rgbd_calib.types import Board, BoardShape
 
 PX_PER_MM = 4.0
 BOARD = Board(8, 5, 0.03)
@@ -171,3 +171,24 @@ def test_command_errors_leave_nothing(run, tmp_path, args, needle):
     assert outcome.status == 2 and needle in outcome.stderr
     assert run("board", "--square", "0.03", "-o", tmp_path / "a.png").status == 2
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_measured_shape_is_where_the_corners_are(tmp_path):
+    flat = Board(4, 3, 0.05, two_sided=True, thickness_m=0.006)
+    rng = np.random.default_rng(0)
+    front = flat.corners_m() + rng.normal(0, 1e-4, (12, 3))
+    behind = flat.corners_m() * [1, 1, 0] + [0, 0, 0.006] + rng.normal(0, 1e-4, (12, 3))
+    board = replace(flat, shape=BoardShape(front, behind))
+    assert np.array_equal(board.corners_m(), front)
+    # corner (c, r) of the front lies behind corner (cols - 1 - c, r) of the back
+    assert np.array_equal(board.corners_m(back=True)[1 * 4 + 0], behind[1 * 4 + 3])
+    assert np.abs(board.corners_m(back=True) - flat.corners_m(back=True)).max() < 1e-3
+    again = BoardModel.model_validate(BoardModel.of(board).model_dump(exclude_none=True)).value()
+    assert np.array_equal(again.shape.front_m, front) and np.array_equal(again.shape.back_m, behind)
+
+
+def test_a_shape_of_another_board_is_refused():
+    data = BoardModel.of(Board(4, 3, 0.05)).model_dump(exclude_none=True)
+    data["shape"] = {"front_m": Board(4, 4, 0.05).corners_m().tolist()}
+    with pytest.raises(ValueError, match="16 corners, a 4x3 board has 12"):
+        BoardModel.model_validate(data)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rgbd_calib.geometry.camera import Intrinsics, project, project_jacobian, rays, unproject
+from rgbd_calib.geometry.camera import Intrinsics, fold_radius, project, project_jacobian, rays, unproject
 
 # of the size that real depth cameras have. The worst of them, k = -0.1, -0.05, -0.02, turns at r_d = 0.85; the corner
 # farthest from the centre, (340 / 560, 260 / 549), is at r_d = 0.77: every pixel has its ray
@@ -73,7 +73,6 @@ def test_one_lens_for_each_point():
     p_color = np.array([[0.2, -0.1, 1.0], [0.1, 0.3, 2.0]])
     both = project(vectors, p_color)
     assert np.allclose(both[1], project(vectors[1], p_color[1]))
-    assert np.allclose(rays(vectors, both)[1], rays(vectors[1], both[1]))
     each = project_jacobian(vectors, p_color)
     assert np.allclose(each[2][0], project_jacobian(vectors[0], p_color[:1])[2][0])
 
@@ -90,6 +89,56 @@ def test_pixels_beyond_the_turning_point_have_no_ray(k1):
     assert np.isfinite(rays(vector, inside)).all()
     assert np.isnan(rays(vector, outside)).all()
     assert np.isnan(rays(vector, 2 * np.array([320.0, 240.0]) - outside)).all()
+
+
+WIDE = {
+    "8 coefficients": Intrinsics(1280, 720, 605.3, 604.9, 639.2, 366.1, (0.52, -2.6, 0.0006, -0.0002, 1.5, 0.4, -2.4, 1.45)),
+    "12 coefficients": Intrinsics(640, 480, 400.0, 401.0, 322.0, 238.0, (-0.28, 0.08, 0.001, -0.002, 0.01, 0.02, 0.01, 0.003, 0.004, -0.002, 0.003, 0.001)),
+    "14 coefficients": Intrinsics(640, 480, 400.0, 401.0, 322.0, 238.0, (-0.28, 0.08, 0.001, -0.002, 0.01, 0.02, 0.01, 0.003, 0.004, -0.002, 0.003, 0.001, 0.03, -0.02)),
+    "4 coefficients": Intrinsics(640, 480, 560.0, 561.0, 322.0, 238.0, (0.06, -0.11, 0.0008, -0.0013)),
+    "fisheye": Intrinsics(640, 576, 380.0, 380.2, 321.0, 288.4, (-0.02, 0.01, -0.006, 0.001), "kannala_brandt"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("lens", WIDE.values(), ids=WIDE)
+class TestEveryLens:
+    def test_every_pixel_has_its_ray(self, lens):
+        pixels = grid(lens.width, lens.height, 25)
+        assert np.abs(lens.project(2.0 * lens.rays(pixels)) - pixels).max() < 1e-9
+
+    def test_opencv_puts_points_at_the_same_pixels(self, lens):
+        p_color = lens.rays(grid(lens.width, lens.height)) * 1.7
+        project_points = cv2.projectPoints if lens.model == "opencv" else cv2.fisheye.projectPoints
+        args = [p_color[:, None], np.zeros(3), np.zeros(3), lens.K, np.array(lens.distortion)]
+        theirs = project_points(*args)[0].reshape(-1, 2)
+        assert np.abs(lens.project(p_color) - theirs).max() < 1e-9
+
+    def test_derivatives_against_central_differences(self, lens):
+        p_color = lens.rays(grid(lens.width, lens.height, 6)) * np.linspace(0.5, 4, 36)[:, None]
+        pixels, J_point, J_vector = project_jacobian(lens.vector, p_color, lens.model)
+        assert np.allclose(pixels, lens.project(p_color), atol=1e-11)
+        # differences over 1e-6 are good to 1e-12 of third derivatives of some 1e4 px, and to 1e-13 px / 1e-6 of rounding
+        for k in range(3):
+            step = np.eye(3)[k] * 1e-6
+            slope = (lens.project(p_color + step) - lens.project(p_color - step)) / 2e-6
+            assert np.allclose(J_point[..., k], slope, rtol=1e-6, atol=1e-5)
+        for k in range(len(lens.vector)):
+            step = np.eye(len(lens.vector))[k] * 1e-6
+            ahead, behind = (project(lens.vector + sign * step, p_color, lens.model) for sign in (1, -1))
+            assert np.allclose(J_vector[..., k], (ahead - behind) / 2e-6, rtol=1e-6, atol=1e-5)
+
+
+def test_the_fold_of_a_lens():
+    k1 = -0.3
+    assert fold_radius((k1, 0.0, 0.0, 0.0, 0.0), "opencv") == pytest.approx(
+        1 / np.sqrt(-3 * k1), abs=2e-3
+    )  # the table's step
+    assert fold_radius((0.1, 0.05, 0.0, 0.0, 0.0), "opencv") == np.inf
+
+
+def test_a_lens_of_another_length_is_refused():
+    with pytest.raises(ValueError, match="6 coefficients"):
+        Intrinsics(640, 480, 500.0, 500.0, 320.0, 240.0, (0.0,) * 6)
 
 
 def test_vector_and_matrix_of_intrinsics():

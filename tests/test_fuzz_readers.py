@@ -22,7 +22,7 @@ import fuzz_parsers  # noqa: E402
 
 from rgbd_calib.errors import ConfigError  # noqa: E402
 from rgbd_calib.io.images import decode_image  # noqa: E402
-from rgbd_calib.io.schemas import check_name  # noqa: E402
+from rgbd_calib.io.schema_base import check_name  # noqa: E402
 from rgbd_calib.io.tables import number  # noqa: E402
 
 SEEDS = sorted((Path(__file__).parent / "fuzz_seeds").iterdir())

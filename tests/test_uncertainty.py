@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rgbd_calib.trust import uncertainty
 
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.trust import uncertainty
 from rgbd_calib.types import DepthBias, Rig, RigCamera
 
 BIAS = 2

@@ -14,7 +14,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict
 
 from rgbd_calib.io.files import dump_yaml, load_yaml, write_text
-from rgbd_calib.io.schemas import Name, Positive, parse
+from rgbd_calib.io.schema_base import Name, Positive, parse
 
 FORMAT = "rgbd-calib/capture"
 VERSION = 1

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
-from rgbd_calib.io.schemas import check_name
+from rgbd_calib.io.schema_base import check_name
 from rgbd_calib.io.tables import name, number, number_or_nan, read_table, short, whole_number, write_table
 from rgbd_calib.types import BoardView, Correspondences
 

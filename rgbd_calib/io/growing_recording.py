@@ -22,7 +22,7 @@ import numpy as np
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.recording import CameraInfo, open_recording, write_dataset
-from rgbd_calib.io.schemas import check_name
+from rgbd_calib.io.schema_base import check_name
 from rgbd_calib.io.tables import short
 from rgbd_calib.types import Board
 

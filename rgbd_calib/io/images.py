@@ -10,7 +10,7 @@ import numpy as np
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.files import read_bytes, whole_file
-from rgbd_calib.io.schemas import MAX_SIDE
+from rgbd_calib.io.schema_base import MAX_SIDE
 
 MAX_BYTES = 256 << 20
 """MAX_SIDE x MAX_SIDE pixels of 3 bytes, not compressed."""

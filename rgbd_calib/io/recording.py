@@ -15,7 +15,9 @@ from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.files import dump_yaml, load_yaml, read_bytes, write_text
 from rgbd_calib.io.images import MAX_BYTES, as_bgr, read_image, write_image
-from rgbd_calib.io.schemas import BoardModel, DatasetModel, IntrinsicsModel, parse
+from rgbd_calib.io.schema_base import parse
+from rgbd_calib.io.schema_parts import BoardModel, IntrinsicsModel
+from rgbd_calib.io.schemas import DatasetModel
 from rgbd_calib.io.tables import number, number_or_nan, read_table, short
 from rgbd_calib.io.tables import write_table as write_table
 from rgbd_calib.types import Board

@@ -13,11 +13,22 @@ from rgbd_calib.geometry import so3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import dump_yaml, load_yaml, write_text
-from rgbd_calib.io.schemas import DepthBiasModel, IntrinsicsModel, RigModel, parse
+from rgbd_calib.io.schema_base import parse
+from rgbd_calib.io.schema_parts import DepthBiasModel, DepthCameraModel, IntrinsicsModel, field_data
+from rgbd_calib.io.schemas import RigModel
 from rgbd_calib.io.tables import short
 from rgbd_calib.types import DepthBias, Rig, RigCamera
 
-_KNOWN = ("intrinsics", "T_world_color", "rotation_wxyz", "translation_m", "covariance", "depth_bias")
+_KNOWN = (
+    "intrinsics",
+    "T_world_color",
+    "rotation_wxyz",
+    "translation_m",
+    "covariance",
+    "depth_bias",
+    "depth_field",
+    "depth",
+)
 
 
 def write_rig(path: Path, rig: Rig, boards: Mapping[str, FloatArray] | None = None) -> None:
@@ -84,6 +95,8 @@ def read_rig(path: Path) -> Rig:
             np.zeros((6, 6)) if camera.covariance is None else np.array(camera.covariance),
             camera.depth_bias.value() if camera.depth_bias else None,
             {k: v for k, v in camera.model_dump(exclude_none=True).items() if k not in _KNOWN},
+            camera.depth_field.value() if camera.depth_field else None,
+            camera.depth.value() if camera.depth else None,
         )
     reference = model.reference or next(iter(cameras))
     if reference not in cameras:
@@ -138,6 +151,10 @@ def camera_entry(camera: RigCamera) -> dict[str, Any]:
     }
     if camera.depth_bias is not None:
         entry["depth_bias"] = DepthBiasModel.of(camera.depth_bias).model_dump(exclude_none=True)
+    if camera.depth_field is not None:
+        entry["depth_field"] = field_data(camera.depth_field)
+    if camera.depth_camera is not None:
+        entry["depth"] = DepthCameraModel.of(camera.depth_camera).model_dump(exclude_none=True)
     return entry | camera.statistics
 
 

@@ -155,7 +155,7 @@ def calibrate(
         stated_mm,
         config.self_check,
     )
-    quality |= {"board": asdict(board), "depth_bias_samples": views.bias_samples}
+    quality |= {"board": asdict(replace(board, shape=None)), "depth_bias_samples": views.bias_samples}
     provenance = {
         **provenance_of(config),
         "recording": str(recording.path),

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
-from rgbd_calib.geometry.camera import Intrinsics, project, rays
+from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.exports.common import without_lens
 from rgbd_calib.io.recording import Recording, save_color, save_depth, write_dataset
@@ -51,12 +51,12 @@ def undistort_map(lens: Intrinsics) -> UndistortMap:
     """The map to a pinhole with the same K."""
     u, v = np.meshgrid(np.arange(lens.width, dtype=float), np.arange(lens.height, dtype=float))
     directions = np.stack([(u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, np.ones_like(u)], axis=-1)
-    source = project(lens.vector, directions)
+    source = lens.project(directions)
     inside = (np.abs(source - [(lens.width - 1) / 2, (lens.height - 1) / 2]) <= [lens.width / 2, lens.height / 2]).all(
         -1
     )
     with np.errstate(invalid="ignore"):
-        unique = np.abs(rays(lens.vector, source) - directions).max(axis=-1) < 1e-6
+        unique = np.abs(lens.rays(source) - directions).max(axis=-1) < 1e-6
     return UndistortMap(source[..., 0], source[..., 1], inside & unique)
 
 

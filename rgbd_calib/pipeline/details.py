@@ -155,7 +155,7 @@ def residuals_of_rig(
     for placed in views:
         view, own = placed.view, rig.cameras[placed.view.camera]
         p = se3.transform(se3.inverse(own.T_world_color) @ boards[view.frame], placed.points_m(board))
-        r = view.corners_px - lens.project(own.intrinsics.vector, p)
+        r = view.corners_px - own.intrinsics.project(p)
         z_m = view.depth_m if own.depth_bias is None else own.depth_bias.correct(view.depth_m)
         for k, uv, z in zip(placed.front_corner(board), r, z_m - p[:, 2], strict=True):
             left[view.camera, view.frame, str(k)] = (uv, float(z))

@@ -10,7 +10,7 @@ import hashlib
 import io
 import json
 import platform
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -67,7 +67,7 @@ def key_of(found: Contents, recording: Recording, camera: str, board: Board | No
         "depth": found[1],
         "size": [info.width, info.height],
         "depth_scale": info.depth_scale,
-        "board": None if board is None else asdict(board),
+        "board": None if board is None else asdict(replace(board, shape=None)),
         "params": asdict(params),
         "detector": detector(),
     }

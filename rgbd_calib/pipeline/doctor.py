@@ -12,7 +12,6 @@ import numpy as np
 
 from rgbd_calib.cameras.intrinsics import calibrate_intrinsics
 from rgbd_calib.errors import CalibrationError, ConfigError
-from rgbd_calib.geometry import camera as lens
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
@@ -304,7 +303,7 @@ def _expected(
         if p[:, 2].min() < 0.2 or (facing < 0 and not board.two_sided):
             continue
         size = np.array([own.width, own.height])
-        px, corners = (lens.project(own.vector, x) for x in (p, se3.transform(T_color_board, board.corners_m())))
+        px, corners = (own.project(x) for x in (p, se3.transform(T_color_board, board.corners_m())))
         side = min(float(np.linalg.norm(corners[k] - corners[0])) for k in (1, board.cols))
         if side < _MIN_SQUARE_PX or np.any(corners < 0) or np.any(corners > size - 1):
             continue

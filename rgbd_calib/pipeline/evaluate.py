@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError, ConfigError
-from rgbd_calib.geometry import camera, se3, so3
+from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_boards, read_rig
@@ -216,7 +216,7 @@ def _volume(truth: Rig, boards: Mapping[str, FloatArray], board: Board | None) -
 def _frustum(truth: Rig, name: str) -> FloatArray:
     own = truth.cameras[name]
     pixels = np.array([(u, v) for u in (0, own.intrinsics.width - 1) for v in (0, own.intrinsics.height - 1)], float)
-    rays = camera.rays(own.intrinsics.vector, pixels)
+    rays = own.intrinsics.rays(pixels)
     return se3.transform(own.T_world_color, np.concatenate([rays * NEAR_M, rays * FAR_M]))
 
 
@@ -244,6 +244,6 @@ def _transfer(rig: Rig, source: PlacedView, target: PlacedView, board: Board) ->
     """Board posed by the pixels of `source`, projected into `target`: errors (n,) px of its corners."""
     T_world_board = rig.cameras[source.view.camera].T_world_color @ source.T_color_board
     T_color_board = se3.inverse(rig.cameras[target.view.camera].T_world_color) @ T_world_board
-    vector = rig.cameras[target.view.camera].intrinsics.vector
-    pixels = camera.project(vector, se3.transform(T_color_board, target.points_m(board)))
+    lens = rig.cameras[target.view.camera].intrinsics
+    pixels = lens.project(se3.transform(T_color_board, target.points_m(board)))
     return np.linalg.norm(pixels - target.view.corners_px, axis=1)

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError, ConfigError
-from rgbd_calib.geometry import camera as lens
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import whole_file
@@ -120,7 +119,7 @@ def _cloud(recording: Recording, rig: Rig, name: str, frame: str, params: FusePa
     z_m = depth_m if camera.depth_bias is None else camera.depth_bias.correct(depth_m)
     far = measured & ~jump & (z_m > params.max_depth_m)
     v, u = np.nonzero(measured & ~jump & ~far)
-    p_color = lens.unproject(camera.intrinsics.vector, np.stack([u, v], axis=1).astype(float), z_m[v, u])
+    p_color = camera.intrinsics.unproject(np.stack([u, v], axis=1).astype(float), z_m[v, u])
     seen = np.isfinite(p_color).all(axis=1)
     if frame in recording.color_files[name]:
         colors = recording.color(name, frame)[v, u, ::-1]

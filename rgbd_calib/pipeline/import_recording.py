@@ -12,7 +12,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.files import whole_folder
 from rgbd_calib.io.foreign.source import Kind, Picture, Plan, Source, Stamps, plan_frames
 from rgbd_calib.io.growing_recording import CameraImages, GrowingRecording
-from rgbd_calib.io.schemas import check_name
+from rgbd_calib.io.schema_base import check_name
 from rgbd_calib.io.tables import short
 from rgbd_calib.types import Board
 

@@ -66,7 +66,7 @@ def _volume(grid_m: FloatArray, error_mm: FloatArray) -> dict[str, Any]:
 
 def _frustum(name: str, T: FloatArray, own: lens.Intrinsics, depth_m: float, color: str) -> list[dict[str, Any]]:
     w, h = own.width - 1.0, own.height - 1.0
-    rays = lens.rays(own.vector, np.array([[0, 0], [w, 0], [w, h], [0, h]]))
+    rays = own.rays(np.array([[0, 0], [w, 0], [w, h], [0, h]]))
     if not np.isfinite(rays).all():  # the lens model has no ray at a corner of the image
         pixels = np.array([[0, 0], [w, 0], [w, h], [0, h]])
         rays = np.column_stack([(pixels - [own.cx, own.cy]) / [own.fx, own.fy], np.ones(4)])

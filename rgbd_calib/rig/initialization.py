@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError
-from rgbd_calib.geometry import align, camera, plane, resection, se3
+from rgbd_calib.geometry import align, plane, resection, se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import Correspondences
@@ -140,7 +140,7 @@ def _resect(
     xyz_b: dict[int, FloatArray],
 ) -> tuple[FloatArray, str]:
     points_a = np.array([xyz_a[p] for p in shared])
-    rays = camera.rays(intrinsics_b.vector, np.array([pixels_b[p] for p in shared]))
+    rays = intrinsics_b.rays(np.array([pixels_b[p] for p in shared]))
     good = np.all(np.isfinite(rays), axis=1)
     points_a, rays = points_a[good], rays[good]
     s = np.linalg.svd(points_a - points_a.mean(axis=0), compute_uv=False)

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError
-from rgbd_calib.geometry import camera, se3
+from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation.rig import look_at
@@ -78,7 +78,7 @@ def visible_points(
         for name in names:
             K, T = intrinsics[name], T_world_color[name]
             size = np.array([K.width, K.height])
-            rays = camera.rays(K.vector, rng.random((_BATCH // len(names), 2)) * size - 0.5)
+            rays = K.rays(rng.random((_BATCH // len(names), 2)) * size - 0.5)
             hits = caster.cast(T[:3, 3], rays @ T[:3, :3].T)
             good = (hits.quad >= 0) & (hits.t < max_depth_m) & ~np.isin(hits.quad, discarded)
             candidates.append(se3.transform(T, rays[good] * hits.t[good, None]))
@@ -97,7 +97,7 @@ def _sees(caster: Caster, K: Intrinsics, T_world_color: FloatArray, p_world: Flo
     """Which points (n, 3) one camera sees, (n,) bool."""
     p_color = se3.transform(se3.inverse(T_world_color), p_world)
     ahead = (p_color[:, 2] > 0.1) & (p_color[:, 2] < max_m)
-    px = camera.project(K.vector, np.where(ahead[:, None], p_color, [0.0, 0.0, 1.0]))
+    px = K.project(np.where(ahead[:, None], p_color, [0.0, 0.0, 1.0]))
     inside = ahead & np.all((px > -0.5) & (px < np.array([K.width, K.height]) - 0.5), axis=1)
     hits = caster.cast(T_world_color[:3, 3], p_world - T_world_color[:3, 3])
     distance = np.linalg.norm(p_world - T_world_color[:3, 3], axis=1)

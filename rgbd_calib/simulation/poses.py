@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError
-from rgbd_calib.geometry import camera, se3, so3
+from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation import board as boards
 from rgbd_calib.simulation.rig import TrueRig
@@ -150,7 +150,7 @@ def _draw(
     for k, name in enumerate(names):
         mine = np.flatnonzero(who == k)
         K = rig.intrinsics[name]
-        ray = camera.rays(K.vector, where[mine] * [K.width - 1, K.height - 1])
+        ray = K.rays(where[mine] * [K.width - 1, K.height - 1])
         # turned so that "straight ahead" is along the ray
         axis = np.cross([0.0, 0.0, 1.0], ray)
         angle = np.arctan2(np.linalg.norm(axis, axis=1), ray[:, 2])
@@ -176,9 +176,9 @@ def _judge(rig: TrueRig, board: Board, T: FloatArray, range_m: tuple[float, floa
         normal = T_color_board[:, :3, 2] * np.where(back, -1.0, 1.0)[:, None]
         cos = np.einsum("ni,ni->n", at, normal) / np.linalg.norm(at, axis=1)
         with np.errstate(all="ignore"):
-            px = camera.project(K.vector, p)
+            px = K.project(p)
             x, y = p[..., 0] / p[..., 2], p[..., 1] / p[..., 2]
-            bounds = np.abs(camera.rays(K.vector, np.array([[-0.5, -0.5], [K.width - 0.5, K.height - 0.5]]))[:, :2])
+            bounds = np.abs(K.rays(np.array([[-0.5, -0.5], [K.width - 0.5, K.height - 0.5]]))[:, :2])
             sane = (np.abs(x) < 1.2 * bounds[:, 0].max()) & (np.abs(y) < 1.2 * bounds[:, 1].max())
         edge = px.reshape(n, board.rows, board.cols, 2)
         square_px = np.minimum(

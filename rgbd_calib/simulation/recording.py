@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from rgbd_calib.geometry import camera as lens
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io import recording as files
@@ -248,7 +247,7 @@ def _true_corners(job: _Job, view: View, board_caster: Caster) -> list[tuple[Any
     p = se3.transform(T_color_board, board.corners_m(back))
     if (back and not board.two_sided) or np.any(p[:, 2] < 0.1):
         return []
-    px = lens.project(K.vector, p)
+    px = K.project(p)
     inside = np.all((px > -0.5) & (px < np.array([K.width, K.height]) - 0.5), axis=1)
     # beyond the image's diagonal the lens model folds back
     inside &= np.linalg.norm(p[:, :2] / p[:, 2:], axis=1) < 1.2 * np.hypot(K.width, K.height) / 2 / K.fx

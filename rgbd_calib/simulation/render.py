@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from rgbd_calib.geometry.camera import Intrinsics, rays
+from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation import textures
 from rgbd_calib.simulation.scene import Caster, Hits, Scene
@@ -70,7 +70,7 @@ class View:
         self.origin_m = T_room_color[:3, 3]
         R_room_color = self._R_room_color = T_room_color[:3, :3]
         v, u = np.mgrid[-1 : intrinsics.height + 1, -1 : intrinsics.width + 1].astype(float)
-        grid = rays(intrinsics.vector, np.stack([u, v], axis=-1))
+        grid = intrinsics.rays(np.stack([u, v], axis=-1))
         self.in_camera = grid[1:-1, 1:-1].reshape(-1, 3)
         """Directions (h * w, 3) through the middles of all pixels, row by row, in the camera's frame."""
         self.centres = self.in_camera @ R_room_color.T

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rgbd_calib.geometry import camera, se3
+from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation.depth_sensor import biased
 from rgbd_calib.simulation.poses import looks_at_back
@@ -44,7 +44,7 @@ def true_views(
             if (back and not board.two_sided) or p[:, 2].min() < 0.3 or cos < _MIN_COS:
                 continue
             with np.errstate(all="ignore"):
-                px = camera.project(own.intrinsics.vector, p)
+                px = own.intrinsics.project(p)
             lens = own.intrinsics
             inside = np.all((px > 5) & (px < np.array([lens.width, lens.height]) - 6))
             # far outside the image the lens model folds back

@@ -42,14 +42,14 @@ _MEAN_LENGTH = 2 * np.sqrt(2 / np.pi)  # of a Gaussian with three unit variances
 
 @dataclass(frozen=True)
 class Observed:
-    """What one camera of a rig would report of points (n, 3)."""
+    """What the depth sensor of one camera of a rig would report of points (n, 3)."""
 
     pixels_px: FloatArray
-    """(n, 2)."""
+    """(n, 2), of the depth image."""
     raw_m: FloatArray
-    """(n,), the depth that the sensor would report without noise, its bias included."""
+    """(n,), the depth that the sensor would report without noise, its error included."""
     z_m: FloatArray
-    """(n,)."""
+    """(n,), along the colour camera's axis."""
     seen: np.ndarray
     """(n,) bool: inside the image, at a depth that is measured."""
 
@@ -78,27 +78,25 @@ def volume(corners_m: FloatArray, side: int) -> FloatArray:
 
 
 def observe(rig: Rig, name: str, points_m: FloatArray) -> Observed:
-    """What a camera reports of points (n, 3), metres, in the world."""
+    """What a camera's depth sensor reports of points (n, 3), metres, in the world."""
     own = rig.cameras[name]
+    sensor = own.depth_sensor
     p = se3.transform(se3.inverse(own.T_world_color), points_m)
-    z = p[:, 2]
+    lens, T_color_depth = sensor.camera.intrinsics, sensor.camera.T_color_depth
+    p_depth = se3.transform(se3.inverse(T_color_depth), p)
     with np.errstate(all="ignore"):
-        pixels = camera.project(own.intrinsics.vector, p)
-        back = camera.unproject(own.intrinsics.vector, pixels, z)
-    inside = np.all((pixels >= 0) & (pixels <= [own.intrinsics.width - 1, own.intrinsics.height - 1]), axis=1)
-    seen = inside & (z > NEAREST_M) & (z < FARTHEST_M) & (np.linalg.norm(back - p, axis=1) < 1e-6)
-    raw = z.copy()
-    if own.depth_bias is not None:
-        for _ in range(30):  # fixed point of raw + bias(raw) = z: the bias is small and smooth
-            raw = raw - (own.depth_bias.correct(raw) - z)
-    return Observed(pixels, raw, z, seen)
+        pixels, raw = sensor.report(p)
+        back = lens.unproject(pixels, p_depth[:, 2])
+    inside = np.all((pixels >= 0) & (pixels <= lens.size_px - 1), axis=1)
+    z = p_depth[:, 2]
+    seen = inside & (z > NEAREST_M) & (z < FARTHEST_M) & (np.linalg.norm(back - p_depth, axis=1) < 1e-6)
+    return Observed(pixels, raw, p[:, 2], seen)
 
 
 def place(rig: Rig, name: str, pixels_px: FloatArray, raw_m: FloatArray) -> FloatArray:
-    """Where a camera puts pixels (n, 2) with reported depths (n,): points (n, 3), metres, in the world."""
+    """Where a camera puts pixels (n, 2) of its depth image with reported depths (n,): points (n, 3), metres, in the world."""
     own = rig.cameras[name]
-    z_m = raw_m if own.depth_bias is None else own.depth_bias.correct(raw_m)
-    return se3.transform(own.T_world_color, camera.unproject(own.intrinsics.vector, pixels_px, z_m))
+    return se3.transform(own.T_world_color, own.depth_sensor.points(pixels_px, raw_m))
 
 
 def expected_alignment(
@@ -148,14 +146,16 @@ def place_jacobian(rig: Rig, name: str, observed: Observed, width: int) -> Float
     """
     own = rig.cameras[name]
     T = own.T_world_color
-    p = camera.unproject(own.intrinsics.vector, observed.pixels_px, observed.z_m)
+    p = own.intrinsics.unproject(observed.pixels_px, observed.z_m)
     P = se3.transform(T, p)
     J = np.zeros((len(p), 3, width))
     J[..., :3], J[..., 3:_N_POSE] = -so3.hat(P), np.eye(3)
     if width == _N_POSE:
         return J
     ok = np.isfinite(p).all(axis=1) & (p[:, 2] > 0)
-    _, by_point, by_lens = camera.project_jacobian(own.intrinsics.vector, np.where(ok[:, None], p, [0.0, 0.0, 1.0]))
+    _, by_point, by_lens = camera.project_jacobian(
+        own.intrinsics.vector, np.where(ok[:, None], p, [0.0, 0.0, 1.0]), own.intrinsics.model
+    )
     slide = np.zeros((len(p), 3, N_INTRINSICS))
     slide[:, :2] = -np.linalg.solve(by_point[..., :2], by_lens)
     J[..., _N_POSE : _N_POSE + N_INTRINSICS] = T[:3, :3] @ slide

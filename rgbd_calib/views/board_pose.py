@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError
-from rgbd_calib.geometry import camera, resection, se3
+from rgbd_calib.geometry import resection, se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import Board, BoardView, DepthBias, PosedView
@@ -36,7 +36,7 @@ def pose_view(
     """
     params = params or BoardPoseParams()
     corners_m = board.corners_m()[view.ids]
-    rays = camera.rays(intrinsics.vector, view.corners_px)
+    rays = intrinsics.rays(view.corners_px)
     try:
         poses, rms = resection.homography_pose(corners_m[:, :2], rays)
     except CalibrationError as error:
@@ -49,7 +49,7 @@ def pose_view(
         if undecided and has_depth:
             best = int(np.argmin([_depth_misfit(T, corners_m, view.depth_m, bias) for T in poses]))
     T = poses[best]
-    residual = camera.project(intrinsics.vector, se3.transform(T, corners_m)) - view.corners_px
+    residual = intrinsics.project(se3.transform(T, corners_m)) - view.corners_px
     return PosedView(view, T, float(np.sqrt(np.mean(residual**2))))
 
 

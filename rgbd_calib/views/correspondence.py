@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rgbd_calib.geometry import camera, se3
+from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import Board, Correspondences, DepthBias, IntArray, PlacedView
@@ -59,15 +59,15 @@ def _on_front(
     placed: PlacedView, board: Board, intrinsics: Intrinsics, bias: DepthBias | None
 ) -> tuple[FloatArray, FloatArray]:
     """Pixels (n, 2) and measured points (n, 3), metres, NaN without depth, as if the front had been seen."""
-    view, vector = placed.view, intrinsics.vector
+    view = placed.view
     z_m = view.depth_m if bias is None else bias.correct(view.depth_m)
-    points_m = camera.unproject(vector, view.corners_px, z_m)
+    points_m = intrinsics.unproject(view.corners_px, z_m)
     if not placed.back or board.thickness_m == 0:
         return view.corners_px, points_m
     on_back = placed.points_m(board)
     on_front = on_back * [1, 1, 0]
     p_back, p_front = (se3.transform(placed.T_color_board, p) for p in (on_back, on_front))
     return (
-        view.corners_px + camera.project(vector, p_front) - camera.project(vector, p_back),
+        view.corners_px + intrinsics.project(p_front) - intrinsics.project(p_back),
         points_m + p_front - p_back,
     )

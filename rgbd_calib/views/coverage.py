@@ -164,9 +164,9 @@ def _distance_and_tilt(view: BoardView, board: Board, intrinsics: Intrinsics) ->
     try:
         found, rotation, translation = cv2.solvePnP(
             points_m,
-            np.ascontiguousarray(view.corners_px),  # cv2 refuses a slice, such as the columns of a table
-            intrinsics.K,
-            np.array(intrinsics.distortion),
+            np.ascontiguousarray(intrinsics.rays(view.corners_px)[:, :2]),  # cv2 refuses a slice
+            np.eye(3),
+            np.zeros(5),
             flags=cv2.SOLVEPNP_IPPE,
         )
     except cv2.error:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rgbd_calib.geometry import camera, plane
+from rgbd_calib.geometry import plane
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.types import BoardView, DepthBias
 
@@ -48,7 +48,7 @@ def filter_planes(
             continue
         bias = biases.get(view.camera)
         z_m = view.depth_m[measured] if bias is None else bias.correct(view.depth_m[measured])
-        points_m = camera.unproject(intrinsics[view.camera].vector, view.corners_px[measured], z_m)
+        points_m = intrinsics[view.camera].unproject(view.corners_px[measured], z_m)
         inliers = plane.ransac(points_m, params.threshold_per_m * z_m**2, rng)[2]
         if inliers.mean() < params.min_inlier_share:
             inliers = np.zeros_like(inliers)

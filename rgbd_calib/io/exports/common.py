@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
-from rgbd_calib.geometry.camera import Intrinsics, project, rays
+from rgbd_calib.geometry.camera import Intrinsics, project
 from rgbd_calib.types import Rig
 
 
@@ -56,7 +56,7 @@ def reach_px(lens: Intrinsics, kept: tuple[bool, ...] = (False,) * 5) -> float:
     """Farthest that a pixel of the image moves when only the `kept` of k1, k2, p1, p2, k3 are left, px."""
     u, v = np.meshgrid(np.linspace(0, lens.width - 1, 17), np.linspace(0, lens.height - 1, 17))
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)
-    p_color = rays(lens.vector, pixels)
+    p_color = lens.rays(pixels)
     distortion = tuple(k if keep else 0.0 for k, keep in zip(lens.distortion, kept, strict=True))
     moved = project(np.array([lens.fx, lens.fy, lens.cx, lens.cy, *distortion]), p_color)
     return float(np.nanmax(np.linalg.norm(moved - pixels, axis=1)))

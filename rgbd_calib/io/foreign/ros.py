@@ -14,7 +14,7 @@ from rgbd_calib.errors import ConfigError, RgbdCalibError
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.foreign.ros_images import decode_image, is_depth
 from rgbd_calib.io.foreign.source import Kind, Picture, Stamps
-from rgbd_calib.io.schemas import IntrinsicsModel
+from rgbd_calib.io.schema_parts import IntrinsicsModel
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 _IMAGE, _COMPRESSED, _INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"

@@ -10,7 +10,7 @@ import numpy as np
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io import images
 from rgbd_calib.io.foreign.source import Kind
-from rgbd_calib.io.schemas import MAX_SIDE
+from rgbd_calib.io.schema_base import MAX_SIDE
 from rgbd_calib.io.tables import short
 
 _COMPRESSED_DEPTH_HEADER = 12  # bytes before the PNG, written by compressed_depth_image_transport

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from rgbd_calib.geometry import camera
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.biobjective.groups import Grouping
@@ -18,7 +17,7 @@ def rays(pixels_px: FloatArray, cameras: IntArray, intrinsics: tuple[Intrinsics,
     for i, model in enumerate(intrinsics):
         own = cameras == i
         if any(model.distortion):
-            out[own] = camera.rays(model.vector, pixels_px[own])[:, :2]
+            out[own] = model.rays(pixels_px[own])[:, :2]
         else:
             out[own] = (pixels_px[own] - [model.cx, model.cy]) / [model.fx, model.fy]
     return out

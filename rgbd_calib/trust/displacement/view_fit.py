@@ -68,7 +68,7 @@ def fit_view(
     T = placed.T_color_board
     for _ in range(_ITERATIONS):
         p = se3.transform(T, points)
-        pixels, d_point, _ = camera.project_jacobian(intrinsics.vector, p)
+        pixels, d_point, _ = camera.project_jacobian(intrinsics.vector, p, intrinsics.model)
         d_pose = np.concatenate([-so3.hat(p), np.broadcast_to(np.eye(3), (len(p), 3, 3))], axis=2)
         r2 = (pixels - view.corners_px) / noise.sigma_2d_px
         J2 = np.einsum("nij,njk->nik", d_point, d_pose) / noise.sigma_2d_px

@@ -1,0 +1,119 @@
+"""What a depth sensor errs by: along the range (a bias), and over the image (a field).
+
+    z_true = z + bias(z) + field(u, v, z)
+
+with z the reported depth and (u, v) the pixel of the depth image. A triangulating sensor errs in disparity, so that its
+field grows as z^2; a time-of-flight camera errs in range.
+
+References
+----------
+D. Herrera, J. Kannala, J. Heikkila, Joint depth and color camera calibration with distortion correction, IEEE PAMI
+34(10), 2012. K. Khoshelham, S. Oude Elberink, Sensors 12(2), 2012.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import legendre, polynomial
+from scipy.interpolate import RegularGridInterpolator
+
+from rgbd_calib.geometry.so3 import FloatArray
+
+
+@dataclass(frozen=True)
+class DepthBias:
+    """z_true = z + c0 + c1 z + c2 z^2 + ..., z in metres, fitted on [min_m, max_m] and held at the ends outside."""
+
+    coefficients: tuple[float, ...]
+    min_m: float
+    max_m: float
+    rms_m: float
+    covariance: FloatArray | None = None
+    """(k, k) of the coefficients, where it is known."""
+
+    def error_m(self, z_m: FloatArray) -> FloatArray:
+        """z_true - z, metres, same shape as `z_m`."""
+        return np.asarray(polynomial.polyval(np.clip(z_m, self.min_m, self.max_m), np.array(self.coefficients)))
+
+    def correct(self, z_m: FloatArray) -> FloatArray:
+        """Depth with the bias removed, metres, same shape as `z_m`."""
+        z_m = np.asarray(z_m, float)
+        return z_m + self.error_m(z_m)
+
+    def standard_error(self, z_m: FloatArray) -> FloatArray:
+        """One sigma of the correction at z_m, metres, same shape; needs the covariance."""
+        if self.covariance is None:
+            raise ValueError("this depth bias has no covariance")
+        z_m = np.asarray(z_m, float)
+        V = polynomial.polyvander(np.clip(z_m, self.min_m, self.max_m), len(self.coefficients) - 1)
+        return np.sqrt(np.einsum("...i,ij,...j->...", V, self.covariance, V)).reshape(z_m.shape)
+
+
+def n_terms(degree: int) -> int:
+    """Products of two polynomials up to a total degree."""
+    return (degree + 1) * (degree + 2) // 2
+
+
+def terms(x: FloatArray, y: FloatArray, degree: int) -> FloatArray:
+    """(..., n_terms) products of Legendre polynomials in x and y, -1 to 1, by total degree from 0 on."""
+    X, Y = legendre.legvander(x, degree), legendre.legvander(y, degree)
+    pairs = [(i, d - i) for d in range(degree + 1) for i in range(d + 1)]
+    return np.stack([X[..., i] * Y[..., j] for i, j in pairs], axis=-1)
+
+
+def over_image(pixels_px: FloatArray, size_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Pixels (..., 2) of images of `size_px` (2,) or (..., 2) as x and y (...), -1 to 1 from border to border, held there."""
+    at = np.clip((2 * pixels_px + 1) / size_px - 1, -1, 1)
+    return at[..., 0], at[..., 1]
+
+
+@dataclass(frozen=True)
+class PolynomialField:
+    """Legendre polynomials over the image, for each of some powers of the depth.
+
+    field(u, v, z) = sum_p z^p sum_k c_pk T_k(x, y), z held to [min_m, max_m].
+    """
+
+    width: int
+    height: int
+    degree: int
+    powers: tuple[int, ...]
+    coefficients: FloatArray
+    """(powers, n_terms)."""
+    min_m: float
+    max_m: float
+    covariance: FloatArray | None = None
+    """(k, k) of the flattened coefficients, where it is known."""
+
+    def error_m(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:
+        """field (...), metres, at pixels (..., 2) of the depth image and reported depths (...)."""
+        x, y = over_image(pixels_px, np.array([self.width, self.height], float))
+        z = np.clip(z_m, self.min_m, self.max_m)
+        at = terms(x, y, self.degree) @ self.coefficients.T
+        return np.asarray(np.sum(at * np.stack([z**p for p in self.powers], axis=-1), axis=-1))
+
+
+@dataclass(frozen=True)
+class GridField:
+    """Values on a grid over pixel and depth, linear in between and held outside: what a simulation truly has."""
+
+    u_px: FloatArray
+    """(a,), ascending."""
+    v_px: FloatArray
+    """(b,)."""
+    z_m: FloatArray
+    """(c,)."""
+    error: FloatArray
+    """(a, b, c), metres."""
+
+    def error_m(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:
+        """field (...), metres, at pixels (..., 2) of the depth image and reported depths (...)."""
+        axes = self.u_px, self.v_px, self.z_m
+        at = np.concatenate([pixels_px, np.asarray(z_m, float)[..., None]], axis=-1)
+        held = np.clip(at, [a[0] for a in axes], [a[-1] for a in axes])
+        return np.asarray(RegularGridInterpolator(axes, self.error)(held))
+
+
+DepthField = PolynomialField | GridField

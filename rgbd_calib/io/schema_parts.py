@@ -1,0 +1,290 @@
+"""Schemas of what several files hold: intrinsics, depth errors, a board."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Field, model_validator
+
+from rgbd_calib.geometry.camera import LENSES, Intrinsics
+from rgbd_calib.geometry.depth_error import GridField, PolynomialField, n_terms
+from rgbd_calib.io.schema_base import (
+    MAX_CORNERS,
+    Corners,
+    DepthUnit,
+    Finite,
+    Length,
+    Matrix4,
+    Model,
+    Positive,
+    Side,
+    Vector3,
+    check_rigid,
+    no_boolean,
+)
+from rgbd_calib.types import Board, BoardShape, DepthBias, DepthCamera, DepthField
+
+
+class IntrinsicsModel(Model):
+    """Pixel (0, 0) is the centre of the top left pixel; distortion has 4, 5, 8, 12 or 14 numbers in OpenCV's order (k1, k2,
+    p1, p2, k3, ...), or, of `model: kannala_brandt`, the four of OpenCV's fisheye."""
+
+    model: Literal["opencv", "kannala_brandt"] = "opencv"
+    width: Side
+    height: Side
+    fx: Positive
+    fy: Positive
+    cx: Finite
+    cy: Finite
+    distortion: Annotated[list[Finite], Field(max_length=14, default_factory=list)]
+
+    @model_validator(mode="after")
+    def _coefficients(self) -> IntrinsicsModel:
+        sizes = LENSES[self.model].SIZES
+        if not self.distortion:
+            self.distortion = [0.0] * (5 if self.model == "opencv" else sizes[0])
+        if len(self.distortion) not in sizes:
+            raise ValueError(
+                f"distortion: {len(self.distortion)} numbers, {' or '.join(map(str, sizes))} needed for model {self.model}"
+            )
+        return self
+
+    @classmethod
+    def of(cls, intrinsics: Intrinsics) -> IntrinsicsModel:
+        values = {k: getattr(intrinsics, k) for k in ("width", "height", "fx", "fy", "cx", "cy")}
+        return cls(**values, model=intrinsics.model, distortion=list(intrinsics.distortion))
+
+    def value(self) -> Intrinsics:
+        own = self
+        return Intrinsics(own.width, own.height, own.fx, own.fy, own.cx, own.cy, tuple(own.distortion), own.model)
+
+
+class DepthBiasModel(Model):
+    """z_true = z + c0 + c1 z + c2 z^2 + ..., metres, on [min_m, max_m]; held at the ends outside."""
+
+    coefficients: Annotated[list[Finite], Field(min_length=1, max_length=8)]
+    min_m: Finite
+    max_m: Finite
+    rms_m: Finite = 0.0
+    covariance: list[list[Finite]] | None = None
+
+    @model_validator(mode="after")
+    def _range(self) -> DepthBiasModel:
+        if not self.min_m < self.max_m:
+            raise ValueError(f"min_m {self.min_m} is not below max_m {self.max_m}")
+        n = len(self.coefficients)
+        if self.covariance is not None and [len(row) for row in self.covariance] != [n] * n:
+            raise ValueError(f"covariance is not {n} x {n}, one row for each coefficient")
+        return self
+
+    @classmethod
+    def of(cls, bias: DepthBias) -> DepthBiasModel:
+        covariance = None if bias.covariance is None else bias.covariance.tolist()
+        return cls(
+            coefficients=list(bias.coefficients),
+            min_m=bias.min_m,
+            max_m=bias.max_m,
+            rms_m=bias.rms_m,
+            covariance=covariance,
+        )
+
+    def value(self) -> DepthBias:
+        covariance = None if self.covariance is None else np.array(self.covariance)
+        return DepthBias(tuple(self.coefficients), self.min_m, self.max_m, self.rms_m, covariance)
+
+
+class PolynomialFieldModel(Model):
+    """sum_p z^p sum_k c_pk T_k(x, y): products of Legendre polynomials in x, y (-1 to 1 over the image) by total degree from 0
+    on, and within a degree by the power of y from the highest; z_true = z + bias(z) + field, z held to [min_m, max_m]."""
+
+    basis: Literal["legendre"] = "legendre"
+    width: Side
+    height: Side
+    degree: Annotated[int, Field(ge=0, le=20)]
+    powers: Annotated[list[Annotated[int, Field(ge=-2, le=4)]], Field(min_length=1, max_length=4)]
+    coefficients: list[list[Finite]]
+    min_m: Positive
+    max_m: Positive
+    covariance: list[list[Finite]] | None = None
+
+    @model_validator(mode="after")
+    def _lengths(self) -> PolynomialFieldModel:
+        rows, n = len(self.powers), n_terms(self.degree)
+        if [len(row) for row in self.coefficients] != [n] * rows:
+            raise ValueError(f"coefficients are not {rows} x {n}, one row for each power, one number for each term")
+        if self.covariance is not None and [len(row) for row in self.covariance] != [rows * n] * (rows * n):
+            raise ValueError(f"covariance is not {rows * n} x {rows * n}")
+        return self
+
+    def value(self) -> PolynomialField:
+        own = self
+        covariance = None if own.covariance is None else np.array(own.covariance)
+        return PolynomialField(
+            own.width,
+            own.height,
+            own.degree,
+            tuple(own.powers),
+            np.array(own.coefficients),
+            own.min_m,
+            own.max_m,
+            covariance,
+        )
+
+
+class GridFieldModel(Model):
+    """Values on a grid over pixel and depth, linear in between and held outside."""
+
+    basis: Literal["grid"]
+    u_px: Annotated[list[Finite], Field(min_length=2, max_length=500)]
+    v_px: Annotated[list[Finite], Field(min_length=2, max_length=500)]
+    z_m: Annotated[list[Finite], Field(min_length=2, max_length=100)]
+    error_m: list[list[list[Finite]]]
+
+    @model_validator(mode="after")
+    def _lengths(self) -> GridFieldModel:
+        try:
+            shape = np.shape(np.array(self.error_m, float))
+        except ValueError:
+            shape = ()
+        if shape != (len(self.u_px), len(self.v_px), len(self.z_m)):
+            raise ValueError("error_m has another shape than u_px, v_px, z_m")
+        if any(np.any(np.diff(axis) <= 0) for axis in (self.u_px, self.v_px, self.z_m)):
+            raise ValueError("u_px, v_px and z_m must ascend")
+        return self
+
+    def value(self) -> GridField:
+        return GridField(*(np.array(axis) for axis in (self.u_px, self.v_px, self.z_m, self.error_m)))
+
+
+def field_data(field: DepthField) -> dict[str, Any]:
+    """A depth field as a file holds it."""
+    if isinstance(field, GridField):
+        return {"basis": "grid", "u_px": field.u_px, "v_px": field.v_px, "z_m": field.z_m, "error_m": field.error}
+    names = ("width", "height", "degree", "coefficients", "min_m", "max_m", "covariance")
+    own = {name: getattr(field, name) for name in names if getattr(field, name) is not None}
+    return {"basis": "legendre", "powers": list(field.powers), **own}
+
+
+class DepthCameraModel(Model):
+    """Geometry of depth that is not the colour image's; p_color = T_color_depth @ p_depth."""
+
+    width: Side
+    height: Side
+    intrinsics: IntrinsicsModel | None = None
+    T_color_depth: Matrix4 | None = None
+    covariance: list[list[Finite]] | None = None
+    scale_m: DepthUnit | None = None
+    invalid: list[Annotated[int, Field(ge=0, le=65535)]] | None = None
+
+    @model_validator(mode="after")
+    def _pose(self) -> DepthCameraModel:
+        if self.T_color_depth is not None:
+            check_rigid(np.array(self.T_color_depth))
+        own = self.intrinsics
+        if own and (own.width, own.height) != (self.width, self.height):
+            raise ValueError(f"intrinsics are for {own.width}x{own.height} px, depth has {self.width}x{self.height}")
+        return self
+
+    @classmethod
+    def of(cls, camera: DepthCamera) -> DepthCameraModel:
+        return cls(
+            width=camera.intrinsics.width,
+            height=camera.intrinsics.height,
+            intrinsics=IntrinsicsModel.of(camera.intrinsics),
+            T_color_depth=camera.T_color_depth.tolist(),
+            covariance=None if camera.covariance is None else camera.covariance.tolist(),
+        )
+
+    def value(self) -> DepthCamera | None:
+        """None where the lens is not known."""
+        if self.intrinsics is None:
+            return None
+        T = np.eye(4) if self.T_color_depth is None else np.array(self.T_color_depth)
+        return DepthCamera(self.intrinsics.value(), T, None if self.covariance is None else np.array(self.covariance))
+
+
+Points = Annotated[list[Vector3], Field(min_length=4, max_length=MAX_CORNERS**2)]
+
+
+class BoardShapeModel(Model):
+    """A print as measured: all corners in the order r * cols + c of the front, in the board's frame, metres; `back_m` is the
+    physical corner behind each, absent on one-sided boards."""
+
+    front_m: Points
+    back_m: Points | None = None
+    front_sd_m: Points | None = None
+    back_sd_m: Points | None = None
+
+    @classmethod
+    def of(cls, shape: BoardShape) -> BoardShapeModel:
+        names = ("front_m", "back_m", "front_sd_m", "back_sd_m")
+        return cls(**{name: own.tolist() for name in names if (own := getattr(shape, name)) is not None})
+
+    def value(self) -> BoardShape:
+        back, front_sd, back_sd = (
+            None if own is None else np.array(own) for own in (self.back_m, self.front_sd_m, self.back_sd_m)
+        )
+        return BoardShape(np.array(self.front_m), back, front_sd, back_sd)
+
+
+class BoardModel(Model):
+    """`cols` and `rows` count inner corners; `square`, `thickness` and `marker` are metres."""
+
+    type: Literal["checkerboard", "charuco"] = "checkerboard"
+    cols: Corners
+    rows: Corners
+    square: Length
+    two_sided: bool = False
+    thickness: Annotated[float, BeforeValidator(no_boolean), Field(ge=0, le=0.1, allow_inf_nan=False)] = 0.0
+    marker: Length | None = None
+    dictionary: str | None = None
+    legacy: bool | None = None
+    """A ChArUco board in the layout before OpenCV 4.6; nothing means no."""
+    shape: BoardShapeModel | None = None
+
+    @model_validator(mode="after")
+    def _charuco(self) -> BoardModel:
+        if self.type == "charuco" and (self.marker is None or self.dictionary is None):
+            raise ValueError("a charuco board needs 'marker' (metres) and 'dictionary' (as DICT_5X5_250)")
+        return self
+
+    @model_validator(mode="after")
+    def _shape(self) -> BoardModel:
+        n = self.cols * self.rows
+        for name, points in self.shape or ():
+            if isinstance(points, list) and len(points) != n:
+                raise ValueError(f"shape.{name} has {len(points)} corners, a {self.cols}x{self.rows} board has {n}")
+        return self
+
+    @classmethod
+    def of(cls, board: Board) -> BoardModel:
+        charuco: dict[str, Any] = (
+            {"marker": board.marker_m, "dictionary": board.dictionary, "legacy": board.legacy or None}
+            if board.type == "charuco"
+            else {}
+        )
+        return cls(
+            type=board.type,
+            cols=board.cols,
+            rows=board.rows,
+            square=board.square_m,
+            two_sided=board.two_sided,
+            thickness=board.thickness_m,
+            shape=None if board.shape is None else BoardShapeModel.of(board.shape),
+            **charuco,
+        )
+
+    def value(self) -> Board:
+        return Board(
+            self.cols,
+            self.rows,
+            self.square,
+            self.two_sided,
+            self.thickness,
+            self.type,
+            self.marker or 0.0,
+            self.dictionary or "",
+            self.legacy or False,
+            None if self.shape is None else self.shape.value(),
+        )
