@@ -162,9 +162,9 @@ def nees(result, truth: Rig) -> float:
     names = [name for name in result.rig.cameras if name != result.rig.reference]
     for name in names:
         errors.append(se3.difference(truth.cameras[name].T_world_color, result.rig.cameras[name].T_world_color))
-    index = np.concatenate([np.arange(6) + result.joint.parameters[name].start for name in names])
+    index = np.concatenate([result.joint.parameters[name]["pose"] for name in names])
     error = np.concatenate(errors)
-    return float(error @ np.linalg.solve(result.joint.covariance[np.ix_(index, index)], error) / len(error))
+    return float(error @ np.linalg.solve(result.joint.matrix[np.ix_(index, index)], error) / len(error))
 
 
 def opencv_chain(result) -> Rig:

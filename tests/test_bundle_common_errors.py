@@ -31,7 +31,7 @@ def test_what_depths_share_is_found_and_counted(ripple: bool) -> None:
         views = [rippled(view, phases[view.view.camera]) for view in views] if ripple else views
         result = solved(rig, views, board, rng)
         tau.append(result.common.depth)
-        at = result.parameters("C2").start + np.arange(6)
+        at = result.index("pose", "C2")
         xi = se3.difference(rig.cameras["C2"].T_world_color, result.state.T_world_color[1])
         for values, covariance in (
             (counted, result.covariance),

@@ -9,14 +9,18 @@ import pytest
 import synthetic_views as sv
 
 from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.linear import NormalEquations, Pattern, Rows, assemble
 from rgbd_calib.io.correspondences import write_corners
 from rgbd_calib.io.files import load_yaml
 from rgbd_calib.io.rig import read_rig
 from rgbd_calib.report.page import Contents, render
-from rgbd_calib.rig.bundle import BundleResult, CameraPrior, bundle, solve
+from rgbd_calib.rig import solve
+from rgbd_calib.rig.bundle import bundle
+from rgbd_calib.rig.setup import CameraPrior
+from rgbd_calib.rig.solution import Solution
 from rgbd_calib.simulation.views import ViewNoise, true_views
 from rgbd_calib.trust.self_check import (
-    NO_MOMENT,
+    ALONE,
     Equations,
     Noise,
     SelfCheckParams,
@@ -32,32 +36,32 @@ from rgbd_calib.trust.self_check import (
     outcomes_of,
     score_test,
 )
-from rgbd_calib.trust.self_check.bundle_equations import equations_of
 from rgbd_calib.trust.self_check.calibration import check_bundle, of_calibration
+from rgbd_calib.trust.self_check.equations import ViewRows
+from rgbd_calib.trust.self_check.of_solution import equations_of, held_blocks
 from rgbd_calib.trust.verdict import judge
 from rgbd_calib.types import DepthBias, Rig
 from rgbd_calib.views.association import AssociationResult
 
 PARAMS = SelfCheckParams()
-LOCAL = {"a": slice(0, 3), "b": slice(3, 5), "board": slice(5, 11), "extra": slice(11, 13)}
-VIEWS, ROWS, BOARDS = 12, 40, 5
+VIEWS, ROWS, BOARDS, GLOBALS = 12, 40, 5, 8
+OF_CAMERA = (np.array([0, 1, 2, 3, 4]), np.array([5, 6, 7, 3, 4]))
 
 
 def dense_problem(seed: int, excess: float = 0.0) -> tuple[Equations, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Random rows of 12 views; the equations at the minimum, dense J with the prior's rows, residuals, A, noise factor."""
     rng = np.random.default_rng(seed)
     frame, camera = np.arange(VIEWS) % BOARDS, np.arange(VIEWS) % 2
-    index = np.stack([[0, 1, 2, 3, 4] if c == 0 else [5, 6, 7, 3, 4] for c in camera])
-    P, N = 8, VIEWS * ROWS
-    local = rng.normal(size=(VIEWS, ROWS, 13))
+    P, N = GLOBALS, VIEWS * ROWS
+    by_globals, by_unit, extra = (rng.normal(size=(VIEWS, ROWS, k)) for k in (5, 6, 2))
     Q = np.stack([np.linalg.qr(rng.normal(size=(ROWS, 2)))[0] for _ in range(VIEWS)])
     J, A = np.zeros((N, P + 6 * BOARDS)), np.zeros((N, 2))
     where = np.arange(VIEWS) >= 6
     for v in range(VIEWS):
         at = slice(v * ROWS, (v + 1) * ROWS)
-        J[at, index[v]] = local[v, :, :5]
-        J[at, P + 6 * frame[v] : P + 6 * frame[v] + 6] = local[v, :, 5:11]
-        A[at] = local[v, :, 11:] * where[v]
+        J[at, OF_CAMERA[camera[v]]] = by_globals[v]
+        J[at, P + 6 * frame[v] : P + 6 * frame[v] + 6] = by_unit[v]
+        A[at] = extra[v] * where[v]
     prior = np.diag(rng.uniform(0.1, 2.0, P))
     sigma = np.eye(N)
     for v in range(VIEWS):
@@ -68,15 +72,45 @@ def dense_problem(seed: int, excess: float = 0.0) -> tuple[Equations, np.ndarray
     J_all = np.vstack([J, np.hstack([np.sqrt(prior), np.zeros((P, 6 * BOARDS))])])
     x = np.linalg.lstsq(J_all, -np.concatenate([e, np.sqrt(prior) @ known]), rcond=None)[0]
     r, gradient = e + J @ x, prior @ (known + x[:P])
-    rows = r.reshape(VIEWS, ROWS)
+    left = r.reshape(VIEWS, ROWS)
+    seen = [tuple(sorted(set(camera[frame == f]))) for f in range(BOARDS)]
+    columns = {key: np.unique(np.concatenate([OF_CAMERA[c] for c in key])) for key in set(seen)}
+    pattern = Pattern.of(seen, columns, P, 6)
+
+    def part(views: np.ndarray) -> NormalEquations:
+        batches = (views[camera[views] == c] for c in range(2))
+        return assemble(
+            pattern,
+            (
+                Rows(
+                    frame[v], OF_CAMERA[c], by_globals[v][:, :, None], by_unit[v][:, :, None], left[v][..., None],
+                    np.zeros((len(v), ROWS, 0), int), np.zeros((len(v), ROWS, 1, 0)),
+                )
+                for c, v in enumerate(batches)
+            ),
+        )  # fmt: skip
+
+    base = part(np.arange(VIEWS)).plus(prior, gradient)
+    low_globals = np.zeros((VIEWS, 2, P))
+    for v in range(VIEWS):
+        low_globals[v][:, OF_CAMERA[camera[v]]] = Q[v].T @ by_globals[v]
+    Qt = Q.transpose(0, 2, 1)
+    gram = np.einsum("vng,vnh->vgh", extra, extra)
+    rows = ViewRows(
+        frame, np.stack([OF_CAMERA[c] for c in camera]), gram, np.einsum("vng,vnh->vgh", extra, by_globals),
+        np.einsum("vng,vnh->vgh", extra, by_unit), np.einsum("vng,vn->vg", extra, left),
+        Qt @ extra, low_globals, Qt @ by_unit, np.zeros((VIEWS, 2)), gram,
+    )  # fmt: skip
+    free = np.ones(P, bool)
     eq = Equations(
-        ("C1", "C2"), camera, frame, frame, np.ones(VIEWS, bool), tuple("01234"), LOCAL, np.arange(5), index,
-        np.ones((VIEWS, 5), bool),
-        np.einsum("vng,vnh->vgh", local, local), np.einsum("vng,vn->vg", local, rows), Q.transpose(0, 2, 1) @ local,
-        np.zeros((VIEWS, 2)), np.zeros(2, int), np.full(2, excess), np.einsum("vng,vnh->vgh", local, local), np.full(VIEWS, ROWS), np.ones(VIEWS), prior, gradient,
-        np.ones(P, bool),
+        ("C1", "C2"), camera, frame, np.ones(VIEWS, bool), tuple("01234"), {"extra": slice(0, 2)}, rows,
+        base.covariance(free), prior, gradient, free, np.full(VIEWS, ROWS), np.ones(VIEWS), np.zeros(2, int),
+        np.full(2, excess), part, part,
     )  # fmt: skip
     return eq, J_all, r, A, sigma
+
+
+EXTRA = np.array([0, 1])
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -84,7 +118,7 @@ def test_the_score_test_is_the_gain_of_a_new_solution(seed):
     """With independent noise the statistic is exactly by how much the squares fall when A joins the model."""
     eq, J, r, A, _ = dense_problem(seed)
     where = np.arange(VIEWS) >= 6
-    score = score_test(eq, np.array([11, 12]), where)
+    score = score_test(eq, EXTRA, where)
     gradient = np.sqrt(eq.prior) @ np.linalg.solve(eq.prior, eq.prior_gradient)
     left = np.concatenate([r, gradient])
     wider = np.hstack([J, np.vstack([A, np.zeros((len(J) - len(A), 2))])])
@@ -92,10 +126,8 @@ def test_the_score_test_is_the_gain_of_a_new_solution(seed):
     gain = float(left @ left - np.sum((left + wider @ step) ** 2))
     assert score.statistic == pytest.approx(gain, rel=1e-8)
     np.testing.assert_allclose(score.estimate, step[-2:], rtol=1e-8)
-    extended = eq.extended(np.array([11, 12]), where)
-    again = score_test(extended, np.array([11, 12]), where)
-    assert again.freedom == 0  # the model has it now
-    np.testing.assert_allclose(extended.step[0][-2:], step[-2:], rtol=1e-8)
+    again = score_test(eq.with_error(EXTRA, where), EXTRA, where)
+    assert again.dof == 0  # the model has it now
 
 
 def test_the_statistic_is_chi2_where_views_err_together():
@@ -107,7 +139,7 @@ def test_the_statistic_is_chi2_where_views_err_together():
     local_rows = J[:n]
     where = np.arange(VIEWS) >= 6
     prior_sqrt = np.sqrt(np.diag(eq.prior))
-    reference = score_test(eq, np.array([11, 12]), where)
+    reference = score_test(eq, EXTRA, where)
     M_A = np.vstack([A, np.zeros((P, 2))])
     M_A = M_A - J @ (C @ (J.T @ M_A))
     variance = np.linalg.inv(
@@ -124,23 +156,51 @@ def test_the_statistic_is_chi2_where_views_err_together():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_frame_taken_away_by_formula_and_in_truth(seed):
-    eq, J, r, _, _ = dense_problem(seed)
-    gone = np.array([False, True, False, False, True])
-    held = delete(eq, gone)
-    keep = np.concatenate([np.repeat(~gone[np.arange(VIEWS) % BOARDS], ROWS), np.ones(8, bool)])
+def test_a_second_error_is_tested_beside_one_that_was_taken_into_the_model(seed):
+    """As if the first had been a part of the model from the start: dense least squares with both."""
+    eq, J, r, A, _ = dense_problem(seed)
+    where, other = np.arange(VIEWS) >= 6, np.arange(VIEWS) % 3 == 0
+    B = np.repeat(other, ROWS)[:, None] * np.where(np.repeat(where, ROWS)[:, None], A, all_of(seed))
     left = np.concatenate([r, np.sqrt(eq.prior) @ np.linalg.solve(eq.prior, eq.prior_gradient)])
-    step = np.linalg.lstsq(J[keep], -left[keep], rcond=None)[0][:8]
-    np.testing.assert_allclose(held.step, step, rtol=1e-7)
+    nothing = np.zeros((len(J) - len(A), 2))
+    wider = np.hstack([J, np.vstack([A, nothing])])
+    widest = np.hstack([wider, np.vstack([B, nothing])])
+    without, both = (np.linalg.lstsq(M, -left, rcond=None)[0] for M in (wider, widest))
+    gain = np.sum((left + wider @ without) ** 2) - np.sum((left + widest @ both) ** 2)
+    score = score_test(eq.with_error(EXTRA, where), EXTRA, other)
+    assert score.statistic == pytest.approx(gain, rel=1e-7)
+    np.testing.assert_allclose(score.estimate, both[-2:], rtol=1e-6)
+
+
+def all_of(seed):
+    """The columns A of every view, also of those that `dense_problem` leaves out."""
+    rng = np.random.default_rng(seed)
+    return [rng.normal(size=(VIEWS, ROWS, k)) for k in (5, 6, 2)][2].reshape(-1, 2)
+
+
+@pytest.mark.parametrize("taken", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_frame_taken_away_by_formula_and_in_truth(seed, taken):
+    eq, J, r, A, _ = dense_problem(seed)
+    if taken:
+        eq = eq.with_error(EXTRA, np.arange(VIEWS) >= 6)
+        J = np.hstack([J, np.vstack([A, np.zeros((len(J) - len(A), 2))])])
+    gone = np.isin(np.arange(VIEWS) % BOARDS, [1, 4])
+    held = delete(eq, gone)
+    keep = np.concatenate([np.repeat(~gone, ROWS), np.ones(GLOBALS, bool)])
+    left = np.concatenate([r, np.sqrt(eq.prior) @ np.linalg.solve(eq.prior, eq.prior_gradient)])
+    own = [*range(GLOBALS), *range(GLOBALS + 6 * BOARDS, J.shape[1])]
+    step = np.linalg.lstsq(J[keep], -left[keep], rcond=None)[0][own]
+    np.testing.assert_allclose(held.step, step, rtol=1e-6)
     seen = J[keep].T @ J[keep]
-    np.testing.assert_allclose(held.covariance, np.linalg.pinv(seen)[:8, :8], rtol=1e-6)
+    np.testing.assert_allclose(held.covariance, np.linalg.pinv(seen)[np.ix_(own, own)], rtol=1e-6)
 
 
 NOISE = ViewNoise(0.1, 0.7e-3, 0.0)
 BIAS_SD = np.diag([1e-3, 1e-3, 5e-4]) ** 2
 
 
-def solved(rig: Rig, seed: int, frames: int = 14, change=lambda views, rng: views) -> tuple[BundleResult, list[str]]:
+def solved(rig: Rig, seed: int, frames: int = 14, change=lambda views, rng: views) -> tuple[Solution, list[str]]:
     """A bundle of drawn views, those of each camera alone among them, with priors drawn about the truth."""
     rng = np.random.default_rng(seed)
     boards = sv.board_poses(rig, sv.BOARD, frames, rng)
@@ -159,36 +219,33 @@ def solved(rig: Rig, seed: int, frames: int = 14, change=lambda views, rng: view
     return bundle(placed, sv.BOARD, priors, T, "C1"), sorted(boards)
 
 
-def test_frames_held_out_by_formula_and_by_a_real_refit(monkeypatch):
-    """One Gauss-Newton step: what it leaves out is of second order, some hundredths of a standard deviation.
-
-    Of the bundle's own cost, which does not scale the depth's noise with its bias.
-    """
-    monkeypatch.setattr("rgbd_calib.trust.self_check.bundle_equations._scale_noise", lambda *args: None)
+def test_frames_held_out_by_formula_and_by_a_real_refit():
+    """One Gauss-Newton step: what it leaves out is of second order, some hundredths of a standard deviation."""
     result, frames = solved(sv.arc(3, biased=True), 0)
-    eq = equations_of(result, sv.BOARD, frames)
+    problem = result.problem
+    eq = equations_of(result, held_blocks(problem), frames)
     alone = result.covariance - result.common.covariance
-    ratios = np.concatenate([result.weights.ratio_pixel, result.weights.ratio_depth])
-    as_solved = replace(eq, excess=ratios**2 - 1)
-    assert np.abs(as_solved.honest_covariance - alone).max() < 1e-3 * np.abs(alone).max()
-    gone_frames = frames[:4]
-    gone = np.isin(result.frames, gone_frames)
+    as_solved = replace(eq, excess=problem.weights.excess)
+    nothing = np.zeros(len(eq.camera), bool)
+    assert np.abs(delete(as_solved, nothing).covariance - alone).max() < 1e-3 * np.abs(alone).max()
+    gone_frames = np.isin(result.course.frames, frames[:4])
+    gone = gone_frames[eq.rows.units]
     held = delete(eq, gone)
-    rows = ~np.isin(result.obs.frame, np.flatnonzero(gone))[:, None]
-    obs = result.obs.keep(result.obs.has_pixel & rows, result.obs.has_depth & rows)
-    refit = solve.minimize(result.state, obs, sv.BOARD, result.weights, result.prior, 30, 1e-12)
-    n = result.state.n_camera
+    rows = ~gone_frames[problem.obs.frame][:, None]
+    kept = problem.using(problem.obs.keep(problem.obs.has_pixel & rows, problem.obs.has_depth & rows))
+    kept = replace(kept, held=np.zeros_like(problem.held))
+    refit = solve.minimize(kept, result.state, 30, 1e-12)
     for i in range(3):
-        own = slice(i * n, (i + 1) * n)
         real = np.concatenate(
             [
                 se3.difference(refit.state.T_world_color[i], result.state.T_world_color[i]),
                 refit.state.intrinsics[i] - result.state.intrinsics[i],
-                refit.state.bias[i] - result.state.bias[i],
+                refit.state.values["depth bias"][i] - result.state.values["depth bias"][i],
             ]
         )
+        own = problem.of_camera(i)
         sd = np.sqrt(np.maximum(np.diag(held.covariance)[own], 1e-30))
-        moving = eq.free[own].astype(bool)
+        moving = eq.free[own]
         assert np.abs((held.step[own] - real) / sd)[moving].max() < 0.1
 
 
@@ -197,10 +254,11 @@ def test_nothing_is_said_of_good_recordings():
     ratios = []
     for seed in range(6):
         result, frames = solved(sv.arc(3, biased=True), seed)
-        eq = equations_of(result, sv.BOARD, frames)
-        tests = outcomes_of(eq, PARAMS)
+        held = held_blocks(result.problem)
+        eq = equations_of(result, held, frames)
+        tests = outcomes_of(eq, result.problem, held, PARAMS)
         assert findings_of(eq, tests, PARAMS, 0.0)[0] == []
-        ratios += [t.score.statistic / t.score.freedom for t in tests if t.score.freedom]
+        ratios += [t.score.statistic / t.score.dof for t in tests if t.score.dof]
     # tests of one recording overlap: some 30 independent ones a recording, each sqrt(2 / 4) or less about one
     assert np.mean(ratios) == pytest.approx(1.0, abs=5 * np.sqrt(2 / 4 / (6 * 30)))
 
@@ -233,7 +291,7 @@ FAULTS = {
 def test_each_error_is_named_with_its_camera(fault):
     result, frames = solved(sv.arc(3, biased=True), 1, change=FAULTS[fault])
     nothing = AssociationResult((), {}, {}, (), "C1")
-    views = [p.view for p in result.views if p.view.frame in frames]
+    views = [p.view for p in result.course.views if p.view.frame in frames]
     check = check_bundle(result, sv.BOARD, views, nothing, frames, 0.0, PARAMS)
     assert not check.trusted
     first = check.findings[0]
@@ -328,7 +386,7 @@ def test_a_camera_moved_half_way_is_named_by_every_method(run, tmp_path):
     )  # fmt: skip
     assert out.status == 1
     assert "C2" in out.stderr.split("Verdict:")[1]
-    assert NO_MOMENT == -1
+    assert ALONE == -1
 
 
 def test_refine_tells_where_given_sigmas_are_too_small(run, tmp_path):

@@ -24,7 +24,7 @@ SMALL = {"cameras": 3, "frames": 15, "close": 8}
 SAYS = {
     "square stated 1 % too large (print at 99 %)": "the board's squares are -",
     "square in cm": "board.square: 6.0 seen",
-    "print 1 % too wide": "columns are +1.",
+    "print 1 % too wide": "The printed squares are not square: 1.0",
     "two_sided not stated": "common frames agree on where the two stand",
     "thickness stated 5 mm too small": "faces are +5",
     "cameras swapped in the intrinsic recording": "",
@@ -37,7 +37,7 @@ SAYS = {
     "one camera's images from another session": "common frames agree",
     "depth in 0.1 mm, stated as mm": "All cameras agree",
     "depth of one camera in 0.1 mm, stated as mm": "C2: measured depth over the board's distance",
-    "depth of one camera 10 px beside its colour": "C2's depth image lies",
+    "depth of one camera 10 px beside its colour": "C2's depth is misregistered",
     "depth not registered to colour, 25 mm apart, all cameras": "beside its colour image",
     "one camera's depth saturated at 1.8 m": "C2",
     "depth bias of another camera": "C2",

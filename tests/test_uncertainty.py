@@ -50,7 +50,15 @@ def a_covariance(rng: np.random.Generator) -> np.ndarray:
 
 
 POINTS_M = uncertainty.volume(np.array([[-0.2, -0.3, 1.0], [0.6, 0.3, 2.4]]), 4)
-PARAMETERS = {"A": slice(0, WIDTH), "B": slice(WIDTH, 2 * WIDTH)}
+BLOCKS = {"pose": np.arange(6), "intrinsics": np.arange(6, 15), "depth bias": np.arange(15, WIDTH)}
+PARAMETERS = {n: {block: at + i * WIDTH for block, at in BLOCKS.items()} for i, n in enumerate("AB")}
+POSES = {n: {"pose": np.arange(6) + 6 * i} for i, n in enumerate("AB")}
+
+
+def expected(rig, covariance, parameters=PARAMETERS, cameras=("A", "B")):
+    return uncertainty.expected_alignment(
+        rig, uncertainty.JointCovariance(covariance, parameters), POINTS_M, list(cameras)
+    )
 
 
 def test_derivatives_are_those_of_differences():
@@ -58,7 +66,8 @@ def test_derivatives_are_those_of_differences():
     for name in rig.cameras:
         seen = uncertainty.observe(rig, name, POINTS_M)
         ok = seen.seen
-        J = uncertainty.place_jacobian(rig, name, seen, WIDTH)[ok]
+        derivatives = uncertainty.place_derivatives(rig, name, seen)
+        J = np.concatenate([derivatives[block] for block in BLOCKS], axis=-1)[ok]
         for k in range(WIDTH):
             step = np.zeros(WIDTH)
             step[k] = 1e-5 * max(SD[k] / 1e-3, 1)
@@ -73,44 +82,43 @@ def test_derivatives_are_those_of_differences():
 def test_drawn_rigs_differ_as_expected(seed):
     rng = np.random.default_rng(seed)
     rig, covariance = a_rig(), a_covariance(rng)
-    expected = uncertainty.expected_alignment(rig, covariance, PARAMETERS, POINTS_M)
-    assert expected is not None
-    seen = {name: uncertainty.observe(rig, name, expected.points_m) for name in rig.cameras}
+    found = expected(rig, covariance)
+    assert found is not None
+    seen = {name: uncertainty.observe(rig, name, found.points_m) for name in rig.cameras}
     draws = 1500
     steps = rng.multivariate_normal(np.zeros(2 * WIDTH), covariance, draws, method="eigh")
-    distance = np.empty((draws, len(expected.points_m)))
+    distance = np.empty((draws, len(found.points_m)))
     for row, step in zip(distance, steps, strict=True):
         drawn = moved(moved(rig, "A", step[:WIDTH]), "B", step[WIDTH:])
         a, b = (uncertainty.place(drawn, n, seen[n].pixels_px, seen[n].raw_m) for n in ("A", "B"))
         row[:] = np.linalg.norm(a - b, axis=1)
-    both = np.isfinite(expected.pairs["A", "B"])
+    both = np.isfinite(found.pairs["A", "B"])
     assert both.sum() > 20
     # the mean of 1500 draws is off by sd / sqrt(1500); 5 of these, and 1 % for what is not linear (1 sigma turns 1e-3 rad)
     error = 5 * distance.std(axis=0) / np.sqrt(draws) + 0.01 * distance.mean(axis=0)
-    assert np.all(np.abs(distance.mean(axis=0) - expected.pairs["A", "B"])[both] < error[both])
+    assert np.all(np.abs(distance.mean(axis=0) - found.pairs["A", "B"])[both] < error[both])
 
 
 def test_an_isotropic_shift_has_the_mean_length_of_a_gaussian():
     covariance = np.zeros((12, 12))
     covariance[9:, 9:] = 1e-6 * np.eye(3)  # camera B may be 1 mm off along each axis, nothing else
-    expected = uncertainty.expected_alignment(a_rig(), covariance, {"A": slice(0, 6), "B": slice(6, 12)}, POINTS_M)
-    assert expected is not None
-    np.testing.assert_allclose(expected.mean_m, 1e-3 * 2 * np.sqrt(2 / np.pi), rtol=1e-12)
+    found = expected(a_rig(), covariance, POSES)
+    assert found is not None
+    np.testing.assert_allclose(found.mean_m, 1e-3 * 2 * np.sqrt(2 / np.pi), rtol=1e-12)
 
 
 def test_errors_that_both_cameras_share_do_not_part_them():
     """One motion of the whole rig: covariance of full correlation, no distance between the places."""
     common = np.tile(np.eye(6) * 1e-3, (2, 1))
-    expected = uncertainty.expected_alignment(
-        a_rig(), common @ common.T, {"A": slice(0, 6), "B": slice(6, 12)}, POINTS_M
-    )
-    assert expected is not None
-    assert expected.mean_m.max() < 1e-9
+    found = expected(a_rig(), common @ common.T, POSES)
+    assert found is not None
+    assert found.mean_m.max() < 1e-9
 
 
 def test_nothing_is_expected_where_cameras_share_no_point():
     rig = a_rig()
     away = se3.make(so3.exp(np.array([0, np.pi, 0])), np.zeros(3))
     apart = replace(rig, cameras={**rig.cameras, "B": replace(rig.cameras["B"], T_world_color=away)})
-    assert uncertainty.expected_alignment(apart, np.zeros((34, 34)), PARAMETERS, POINTS_M) is None
-    assert uncertainty.expected_alignment(rig, np.zeros((34, 34)), PARAMETERS, POINTS_M, ["A"]) is None
+    assert expected(apart, np.zeros((34, 34))) is None
+    assert expected(rig, np.zeros((34, 34)), cameras=["A"]) is None
+    assert expected(rig, np.zeros((34, 34)), cameras=[]) is None  # no camera with depth is not all of them

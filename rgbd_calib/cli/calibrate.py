@@ -223,7 +223,7 @@ def command(
 
 def describe(quality: dict[str, Any]) -> list[str]:
     """What a person at the rig wants to know, from the rig's quality."""
-    from rgbd_calib.pipeline.max_views import told
+    from rgbd_calib.pipeline.frame_selection import told
 
     lines = []
     used, images = quality.get("views_used", {}), quality.get("images", {})

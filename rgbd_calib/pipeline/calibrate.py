@@ -17,7 +17,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import plain
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.residuals import Residuals
-from rgbd_calib.pipeline import details, max_views
+from rgbd_calib.pipeline import details, frame_selection
 from rgbd_calib.pipeline.config import Config, as_plain
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.pipeline.evaluate import Evaluation, against_views
@@ -25,16 +25,11 @@ from rgbd_calib.pipeline.prepare import IntrinsicsSource, check_sources, resolve
 from rgbd_calib.pipeline.quality import bundle_quality, common_quality, finite, refinement_quality, steps_of
 from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.rig.biobjective import RefinementParams, RefinementResult, refine
-from rgbd_calib.rig.bundle import (
-    BundleResult,
-    board_poses,
-    bundle,
-    camera_statistics,
-    free_structure,
-    pose_covariance,
-)
+from rgbd_calib.rig.bundle import bundle, free_structure
 from rgbd_calib.rig.initialization import initialize
+from rgbd_calib.rig.solution import Solution
 from rgbd_calib.trust.self_check import calibration as self_check
+from rgbd_calib.trust.uncertainty import JointCovariance
 from rgbd_calib.types import Board, BoardView, Correspondences, DepthBias, PlacedView, Rig, RigCamera
 from rgbd_calib.views.association import AssociationResult, associate
 from rgbd_calib.views.board_pose import pose_view
@@ -55,7 +50,7 @@ class Views:
     """By camera, the data that the depth bias was fitted to, where they are known."""
     filtered: PlaneFilterResult
     association: AssociationResult
-    selection: max_views.Selection | None = None
+    selection: frame_selection.Selection | None = None
     """The frames that tell most, where not all are used."""
 
 
@@ -71,7 +66,7 @@ class Calibration:
     boards: dict[str, FloatArray]
     """T_world_board (4, 4) by frame."""
     residuals: Residuals
-    joint: details.Joint | None
+    joint: JointCovariance | None
     """Covariance of all cameras together; None for `init`."""
     evaluation: Evaluation | None
     """On the recording itself; None where no two cameras have depth on the same corner."""
@@ -109,13 +104,13 @@ def calibrate(
     lenses, biases = views.lenses.intrinsics, views.biases
     data = correspond(views.association.views, board, lenses, biases, cameras)
     residuals: Residuals | None = None
-    joint: details.Joint | None = None
-    solution: BundleResult | RefinementResult | None = None
+    joint: JointCovariance | None = None
+    solution: Solution | RefinementResult | None = None
     if config.method == "bundle":
         solution = solved = _bundle(views, board, recording, config, reference)
         if config.bundle.structure == "free":
-            solved = free_structure(solved, board, config.bundle)
-        boards, rig = board_poses(solved), _rig_of_bundle(solved, reference)
+            solved = free_structure(solved)
+        boards, rig = solved.board_poses(), _rig_of_bundle(solved, reference)
         residuals, joint = details.residuals_of_bundle(solved, board), details.joint_of_bundle(solved)
         quality = bundle_quality(solved)
     else:
@@ -200,7 +195,9 @@ def prepare_views(
     check_depth_scale(posed, board, biases)
     association = associate(posed, board, reference, cameras, config.association)
     with_depth = [name for name in cameras if recording.depth_files[name]]
-    association, selection = max_views.select(association, lenses, biases, recording.cameras, with_depth, board, config)
+    association, selection = frame_selection.select(
+        association, lenses, biases, recording.cameras, with_depth, board, config
+    )
     return Views(detections, lenses, biases, bias_origin, samples, filtered, association, selection)
 
 
@@ -258,27 +255,24 @@ def _refinement(config: Config) -> RefinementParams:
     return replace(config.refinement, method=config.method)
 
 
-def _bundle(views: Views, board: Board, recording: Recording, config: Config, reference: str) -> BundleResult:
+def _bundle(views: Views, board: Board, recording: Recording, config: Config, reference: str) -> Solution:
     """The joint bundle over the recording's views and those of an intrinsic recording."""
     cameras = list(recording.cameras)
-    priors = max_views.bundle_priors(views.lenses, views.biases, recording.cameras)
-    single = max_views.views_alone(views.lenses, views.biases, cameras, board, config)
+    priors = frame_selection.bundle_priors(views.lenses, views.biases, recording.cameras)
+    single = frame_selection.views_alone(views.lenses, views.biases, cameras, board, config)
     start = views.association.T_world_color
     return bundle([*views.association.views, *single], board, priors, start, reference, config.bundle)
 
 
-def _rig_of_bundle(solved: BundleResult, reference: str) -> Rig:
+def _rig_of_bundle(solved: Solution, reference: str) -> Rig:
     cameras = {}
-    for i, name in enumerate(solved.cameras):
-        prior = solved.priors[name]
-        lens = prior.intrinsics.with_vector(solved.state.intrinsics[i])
-        statistics = camera_statistics(solved, name)
+    for name in solved.cameras:
         cameras[name] = RigCamera(
-            lens,
-            solved.state.T_world_color[i],
-            pose_covariance(solved, name),
+            solved.intrinsics(name),
+            solved.T_world_color(name),
+            solved.pose_covariance(name),
             solved.depth_bias(name),
-            plain(statistics),
+            plain(solved.camera_statistics(name)),
         )
     return Rig(reference, cameras)
 

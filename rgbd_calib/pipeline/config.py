@@ -16,8 +16,8 @@ from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.files import load_yaml
 from rgbd_calib.io.tables import short
 from rgbd_calib.rig.biobjective import RefinementParams
-from rgbd_calib.rig.bundle import BundleParams
 from rgbd_calib.rig.initialization import InitializationParams
+from rgbd_calib.rig.setup import BundleParams
 from rgbd_calib.trust.self_check import SelfCheckParams
 from rgbd_calib.views.association import AssociationParams
 from rgbd_calib.views.board_pose import BoardPoseParams

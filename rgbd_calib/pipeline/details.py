@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import cv2
@@ -17,22 +17,15 @@ from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.residuals import Residuals
 from rgbd_calib.rig.biobjective import RefinementResult
-from rgbd_calib.rig.bundle import BundleResult, model
+from rgbd_calib.rig.blocks import Scope
 from rgbd_calib.rig.initialization import InitializationParams, initialize
-from rgbd_calib.trust.uncertainty import expected_alignment, volume
+from rgbd_calib.rig.solution import Solution
+from rgbd_calib.trust.uncertainty import JointCovariance, expected_alignment, volume
 from rgbd_calib.types import Board, Correspondences, PlacedView, Rig
 from rgbd_calib.views.correspondence import correspond
 
 GRID = 9
 """Points along each side of the working volume: 729 lines at most in a rig file."""
-
-
-@dataclass(frozen=True)
-class Joint:
-    """Covariance of all cameras together, and where each camera's parameters stand in it."""
-
-    covariance: FloatArray
-    parameters: dict[str, slice]
 
 
 def versions() -> dict[str, str]:
@@ -41,35 +34,34 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **numeric}
 
 
-def joint_of_bundle(solved: BundleResult) -> Joint:
-    """Poses, intrinsics and depth biases."""
-    return Joint(
-        solved.covariance,
-        {name: solved.parameters(name) for name in solved.cameras},
-    )
+def joint_of_bundle(solved: Solution) -> JointCovariance:
+    """Of all blocks of the cameras."""
+    blocks = [b.name for b in solved.problem.blocks if b.scope is Scope.CAMERA]
+    parameters = {name: {block: solved.index(block, name) for block in blocks} for name in solved.cameras}
+    return JointCovariance(solved.covariance, parameters)
 
 
-def joint_of_refinement(refined: RefinementResult) -> Joint:
+def joint_of_refinement(refined: RefinementResult) -> JointCovariance:
     """Poses alone."""
-    parts = {name: slice(6 * i, 6 * i + 6) for i, name in enumerate(refined.cameras)}
-    return Joint(refined.joint_covariance, parts)
+    parts = {name: {"pose": np.arange(6 * i, 6 * i + 6)} for i, name in enumerate(refined.cameras)}
+    return JointCovariance(refined.joint_covariance, parts)
 
 
 def expectation(
-    rig: Rig, joint: Joint, boards: Mapping[str, FloatArray], board: Board, cameras: Sequence[str]
+    rig: Rig, joint: JointCovariance, boards: Mapping[str, FloatArray], board: Board, cameras: Sequence[str]
 ) -> dict[str, Any]:
     """Expected alignment error as plain numbers; empty where no point of the boards' box is seen by two cameras.
 
     The points are in the reference camera's frame, so that they hold in any world.
     """
     corners_m = np.concatenate([se3.transform(T, board.corners_m()) for T in boards.values()])
-    expected = expected_alignment(rig, joint.covariance, joint.parameters, volume(corners_m, GRID), cameras)
+    expected = expected_alignment(rig, joint, volume(corners_m, GRID), cameras)
     if expected is None:
         return {}
     T_reference_world = se3.inverse(rig.cameras[rig.reference].T_world_color)
     mean_mm = 1e3 * expected.mean_m
     in_all = np.concatenate([e[np.isfinite(e)] for e in expected.pairs.values()])
-    only_poses = max(p.stop - p.start for p in joint.parameters.values()) == 6
+    only_poses = all(set(own) == {"pose"} for own in joint.parameters.values())
     return {
         "expected_alignment": {
             "of": "poses alone; intrinsics and depth taken as exact" if only_poses else "poses, intrinsics, depth bias",
@@ -110,15 +102,15 @@ def starting_rig(
     return {"start": {"poses_from": how, "cameras": cameras}}
 
 
-def residuals_of_bundle(solved: BundleResult, board: Board) -> Residuals:
+def residuals_of_bundle(solved: Solution, board: Board) -> Residuals:
     """Of every view, also of those that were dropped."""
-    used, counts = solved.obs, np.array([len(placed.view.ids) for placed in solved.views])
-    there = np.arange(used.has_pixel.shape[1]) < counts[:, None]
+    views, used = solved.course.views, solved.problem.obs
+    there = np.arange(used.has_pixel.shape[1]) < np.array([len(placed.view.ids) for placed in views])[:, None]
     raw_m = np.full(there.shape, np.nan)
-    for row, placed in zip(raw_m, solved.views, strict=True):
+    for row, placed in zip(raw_m, views, strict=True):
         row[: len(placed.view.ids)] = placed.view.depth_m
-    left_px, left_depth = model.residuals(solved.state, used.keep(there, np.isfinite(raw_m)), board)
-    names = [(p.view.camera, p.view.frame, str(k)) for p in solved.views for k in p.front_corner(board)]
+    left_px, left_m = solved.problem.residuals(solved.state, used.keep(there, np.isfinite(raw_m)))
+    names = [(p.view.camera, p.view.frame, str(k)) for p in views for k in p.front_corner(board)]
     camera, frame, feature = np.array(names, dtype=str).T
     return Residuals(
         camera,
@@ -127,7 +119,7 @@ def residuals_of_bundle(solved: BundleResult, board: Board) -> Residuals:
         pixels_px=used.pixels_px[there],
         residual_px=-left_px[there],
         depth_m=raw_m[there],
-        residual_depth_m=np.where(np.isfinite(raw_m), -left_depth * used.depth_m**2, np.nan)[there],
+        residual_depth_m=np.where(np.isfinite(raw_m), -left_m, np.nan)[there],
         used_pixel=used.has_pixel[there],
         used_depth=used.has_depth[there],
     )

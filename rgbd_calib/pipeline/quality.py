@@ -10,8 +10,8 @@ import numpy as np
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.evaluate import Evaluation
 from rgbd_calib.rig.biobjective import RefinementResult
-from rgbd_calib.rig.bundle import BundleResult
 from rgbd_calib.rig.initialization import InitializationResult
+from rgbd_calib.rig.solution import Solution
 
 if TYPE_CHECKING:
     from rgbd_calib.pipeline.calibrate import Views
@@ -41,12 +41,12 @@ def refinement_quality(refined: RefinementResult) -> dict[str, Any]:
     }
 
 
-def bundle_quality(solved: BundleResult) -> dict[str, Any]:
+def bundle_quality(solved: Solution) -> dict[str, Any]:
     return {
-        "status": "converged" if solved.converged else "max_rounds",
-        "message": solved.message,
+        "status": "converged" if solved.course.converged else "max_rounds",
+        "message": solved.course.message,
         "cost": solved.cost,
-        "iterations": solved.iterations,
+        "iterations": solved.course.iterations,
         "rounds": [
             {
                 "cost": r.cost,
@@ -57,13 +57,13 @@ def bundle_quality(solved: BundleResult) -> dict[str, Any]:
                 "pose_part_depth": r.ratio_depth,
                 "dropped_views": r.dropped_views,
             }
-            for r in solved.history
+            for r in solved.course.history
         ],
-        "dropped": _by_camera(solved.dropped),
-        "dropped_depth_corners": solved.dropped_depth_corners,
+        "dropped": _by_camera(solved.course.dropped),
+        "dropped_depth_corners": solved.course.dropped_depth_corners,
         "not_observable": list(solved.observability.sentences),
         "reciprocal_condition": solved.observability.reciprocal_condition,
-        "board_bow_m": solved.state.bow_m,
+        "board_bow_m": solved.state.values["bow"][0],
         "common_error_sigmas": {"pixel": solved.common.pixel, "depth": solved.common.depth},
     }
 

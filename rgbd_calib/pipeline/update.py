@@ -26,7 +26,9 @@ from rgbd_calib.pipeline.prepare import IntrinsicsSource, resolve_depth_bias, re
 from rgbd_calib.pipeline.rig_inputs import common_cameras
 from rgbd_calib.pipeline.verify import verify_views
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.rig.bundle import BundleResult, CameraPrior, bundle, camera_statistics, pose_covariance
+from rgbd_calib.rig.bundle import bundle
+from rgbd_calib.rig.setup import CameraPrior
+from rgbd_calib.rig.solution import Solution
 from rgbd_calib.trust.displacement import VerdictParams
 from rgbd_calib.types import Board, BoardView, DepthBias, PlacedView, PosedView, Rig, RigCamera
 from rgbd_calib.views.association import associate, label_views
@@ -89,7 +91,7 @@ def update_camera(
         source.standard_deviations.get(name),
         name in source.results,
         bias,
-        "nothing" if own is None else "lens",
+        "nothing" if own is None else "intrinsics",
         units[name],
     )
     single = _pose(source.views, board, lenses, biases, config) if own is None else []
@@ -106,7 +108,7 @@ def update_camera(
         "intrinsics": "the rig's" if own is not None else source.origin,
         "views": sum(p.view.camera == name for p in placed),
         "common_frames": {c: _common(placed, name, c) for c in others},
-        "left_out": {f"{c} {f}": why for (c, f), why in (left_out | solved.dropped).items() if c == name},
+        "left_out": {f"{c} {f}": why for (c, f), why in (left_out | dict(solved.course.dropped)).items() if c == name},
         "alignment": _alignment(checked, mine, board, name),
     }
     if name in rig.cameras:
@@ -205,7 +207,7 @@ def _alone(posed: PosedView) -> PlacedView:
 
 def _entry(
     rig: Rig,
-    solved: BundleResult,
+    solved: Solution,
     name: str,
     own: RigCamera | None,
     placed: Sequence[PlacedView],
@@ -215,18 +217,16 @@ def _entry(
 
     However the others' errors hang together, the sum of w_i C_i is no less than the covariance of their weighted mean.
     """
-    i = solved.cameras.index(name)
     count = np.array([_common(placed, name, c) for c in others], float)
     carried = sum(
         (w * rig.cameras[c].covariance for w, c in zip(count / max(count.sum(), 1), others, strict=True)),
         np.zeros((6, 6)),
     )
-    covariance = pose_covariance(solved, name) + carried
-    T = solved.state.T_world_color[i]
-    statistics = plain(camera_statistics(solved, name))
+    covariance = solved.pose_covariance(name) + carried
+    T = solved.T_world_color(name)
+    statistics = plain(solved.camera_statistics(name))
     if own is None:
-        lens = solved.priors[name].intrinsics.with_vector(solved.state.intrinsics[i])
-        return RigCamera(lens, T, covariance, solved.depth_bias(name), statistics)
+        return RigCamera(solved.intrinsics(name), T, covariance, solved.depth_bias(name), statistics)
     kept = {key: value for key, value in statistics.items() if key != "intrinsics_sd"}
     return replace(own, T_world_color=T, covariance=covariance, statistics=own.statistics | kept)
 

@@ -63,7 +63,7 @@ def in_world(result: Calibration, world: str, recording: Recording, seed: int) -
     T, kept = world_motion(world, result.rig, result.boards, recording, seed)
     joint = result.joint
     if joint is not None:
-        joint = replace(joint, covariance=moved_joint(joint.covariance, joint.parameters, T))
+        joint = joint.moved(T)
     boards = {frame: T @ T_world_board for frame, T_world_board in result.boards.items()}
     return replace(result, rig=moved_rig(result.rig, T, kept), boards=boards, joint=joint)
 
@@ -98,15 +98,6 @@ def moved_rig(rig: Rig, T_new_world: FloatArray, kept: Mapping[str, Any]) -> Rig
         for name, own in rig.cameras.items()
     }
     return replace(rig, cameras=cameras, quality={**rig.quality, **kept})
-
-
-def moved_joint(covariance: FloatArray, parameters: Mapping[str, slice], T_new_world: FloatArray) -> FloatArray:
-    """The joint covariance of all cameras, each one's first six parameters being its pose, in the new world."""
-    A, Ad = np.eye(len(covariance)), se3.adjoint(T_new_world)
-    for part in parameters.values():
-        A[part.start : part.start + 6, part.start : part.start + 6] = Ad
-    moved: FloatArray = A @ covariance @ A.T
-    return moved
 
 
 def _floor(rig: Rig, recording: Recording, seed: int) -> tuple[FloatArray, dict[str, Any]]:

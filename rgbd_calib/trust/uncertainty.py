@@ -21,7 +21,7 @@ B. C. Carlson, Numerical computation of real or complex elliptic integrals, Nume
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -29,14 +29,13 @@ from numpy.polynomial import polynomial
 from scipy.special import elliprg
 
 from rgbd_calib.geometry import camera, se3, so3
-from rgbd_calib.geometry.camera import N_INTRINSICS
+from rgbd_calib.geometry.linear import IntArray
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import Rig
 
 NEAREST_M, FARTHEST_M = 0.3, 4.0
 """Depths at which a camera of this kind measures."""
 
-_N_POSE = 6
 _MEAN_LENGTH = 2 * np.sqrt(2 / np.pi)  # of a Gaussian with three unit variances
 
 
@@ -52,6 +51,23 @@ class Observed:
     """(n,), along the colour camera's axis."""
     seen: np.ndarray
     """(n,) bool: inside the image, at a depth that is measured."""
+
+
+@dataclass(frozen=True)
+class JointCovariance:
+    """Covariance of all cameras together, and where each camera's parameters stand in it."""
+
+    matrix: FloatArray
+    """(P, P)."""
+    parameters: Mapping[str, Mapping[str, IntArray]]
+    """By camera and block; what is not there is taken as exact."""
+
+    def moved(self, T_new_world: FloatArray) -> JointCovariance:
+        """In another world: the pose of a camera is a left perturbation (rad, m) in it."""
+        A, Ad = np.eye(len(self.matrix)), se3.adjoint(T_new_world)
+        for own in self.parameters.values():
+            A[np.ix_(own["pose"], own["pose"])] = Ad
+        return replace(self, matrix=A @ self.matrix @ A.T)
 
 
 @dataclass(frozen=True)
@@ -100,46 +116,42 @@ def place(rig: Rig, name: str, pixels_px: FloatArray, raw_m: FloatArray) -> Floa
 
 
 def expected_alignment(
-    rig: Rig,
-    covariance: FloatArray,
-    parameters: Mapping[str, slice],
-    points_m: FloatArray,
-    cameras: Sequence[str] | None = None,
+    rig: Rig, joint: JointCovariance, points_m: FloatArray, cameras: Sequence[str]
 ) -> ExpectedAlignment | None:
-    """Expected alignment error at points (n, 3), metres, in the world.
-
-    Parameters
-    ----------
-    covariance : (P, P), joint, of all cameras.
-    parameters : where each camera's parameters stand in it: 6 of the left perturbation (rad, m) of its pose in the
-        world; or these, 9 intrinsics and any number of coefficients of its depth bias. What is not there is taken as
-        exact.
-    cameras : those with depth; None: all.
+    """Expected alignment error at points (n, 3), metres, in the world, of `cameras`, those with depth.
 
     Returns
     -------
     None where no point is seen by two of the cameras.
     """
-    names = [name for name in rig.cameras if name in (cameras or rig.cameras)]
+    names = [name for name in rig.cameras if name in cameras]
     observed = {name: observe(rig, name, points_m) for name in names}
     often = np.sum([o.seen for o in observed.values()], axis=0) > 1 if len(names) > 1 else np.zeros(len(points_m), bool)
     if not often.any():
         return None
     kept = {name: _keep(o, often) for name, o in observed.items()}
-    jacobians = {name: place_jacobian(rig, name, o, _width(parameters[name])) for name, o in kept.items()}
+    derivatives = {name: place_derivatives(rig, name, o) for name, o in kept.items()}
+    parts = {name: _parts(joint.parameters[name], derivatives[name]) for name in names}
     pairs = {}
     for a, b in combinations(names, 2):
         both = kept[a].seen & kept[b].seen
         if both.any():
-            at = np.concatenate([_range(parameters[a]), _range(parameters[b])])
-            J = np.concatenate([jacobians[a][both], -jacobians[b][both]], axis=-1)
+            at = np.concatenate([parts[a][0], parts[b][0]])
+            J = np.concatenate([parts[a][1][both], -parts[b][1][both]], axis=-1)
             pairs[a, b] = np.full(len(both), np.nan)
-            pairs[a, b][both] = _mean_length(J @ covariance[np.ix_(at, at)] @ J.transpose(0, 2, 1))
+            pairs[a, b][both] = _mean_length(J @ joint.matrix[np.ix_(at, at)] @ J.transpose(0, 2, 1))
     return ExpectedAlignment(points_m[often], pairs)
 
 
-def place_jacobian(rig: Rig, name: str, observed: Observed, width: int) -> FloatArray:
-    """Derivative (n, 3, width) of :func:`place` by the camera's parameters, pixel and reported depth held.
+def _parts(own: Mapping[str, IntArray], derivatives: Mapping[str, FloatArray]) -> tuple[IntArray, FloatArray]:
+    """Where the parameters stand that are uncertain, (k,), and the derivative by them (n, 3, k)."""
+    used = {name: index[: derivatives[name].shape[-1]] for name, index in own.items() if name in derivatives}
+    J = [derivatives[name][..., : len(index)] for name, index in used.items()]
+    return np.concatenate(list(used.values())), np.concatenate(J, axis=-1)
+
+
+def place_derivatives(rig: Rig, name: str, observed: Observed) -> dict[str, FloatArray]:
+    """Derivatives (n, 3, k) of :func:`place` by each block of the camera's parameters, pixel and reported depth held.
 
     By the pose: Exp(xi) P - P = phi x P + rho. By the intrinsics: the point slides in its plane of depth z such that
     its pixel stays, d(x, y) = -(dpsi/d(x, y))^-1 dpsi/dK. By the bias: along the ray.
@@ -148,25 +160,19 @@ def place_jacobian(rig: Rig, name: str, observed: Observed, width: int) -> Float
     T = own.T_world_color
     p = own.intrinsics.unproject(observed.pixels_px, observed.z_m)
     P = se3.transform(T, p)
-    J = np.zeros((len(p), 3, width))
-    J[..., :3], J[..., 3:_N_POSE] = -so3.hat(P), np.eye(3)
-    if width == _N_POSE:
-        return J
+    out = {"pose": np.concatenate([-so3.hat(P), np.broadcast_to(np.eye(3), (len(P), 3, 3))], axis=-1)}
     ok = np.isfinite(p).all(axis=1) & (p[:, 2] > 0)
     _, by_point, by_lens = camera.project_jacobian(
         own.intrinsics.vector, np.where(ok[:, None], p, [0.0, 0.0, 1.0]), own.intrinsics.model
     )
-    slide = np.zeros((len(p), 3, N_INTRINSICS))
+    slide = np.zeros((len(p), 3, by_lens.shape[-1]))
     slide[:, :2] = -np.linalg.solve(by_point[..., :2], by_lens)
-    J[..., _N_POSE : _N_POSE + N_INTRINSICS] = T[:3, :3] @ slide
-    bias, raw = own.depth_bias, observed.raw_m
-    if bias is not None:
-        n = min(width - _N_POSE - N_INTRINSICS, len(bias.coefficients))
-        powers = polynomial.polyvander(np.clip(raw, bias.min_m, bias.max_m), max(n, 1) - 1)[:, :n]
+    out["intrinsics"] = T[:3, :3] @ slide
+    if (bias := own.depth_bias) is not None:
+        powers = polynomial.polyvander(np.clip(observed.raw_m, bias.min_m, bias.max_m), len(bias.coefficients) - 1)
         ray = p / p[:, 2:]
-        at = _N_POSE + N_INTRINSICS
-        J[..., at : at + n] = (ray @ T[:3, :3].T)[..., None] * powers[:, None]
-    return J
+        out["depth bias"] = (ray @ T[:3, :3].T)[..., None] * powers[:, None]
+    return out
 
 
 def _mean_length(S: FloatArray) -> FloatArray:
@@ -178,11 +184,3 @@ def _mean_length(S: FloatArray) -> FloatArray:
 
 def _keep(o: Observed, which: np.ndarray) -> Observed:
     return Observed(o.pixels_px[which], o.raw_m[which], o.z_m[which], o.seen[which])
-
-
-def _range(part: slice) -> np.ndarray:
-    return np.arange(part.start, part.stop)
-
-
-def _width(part: slice) -> int:
-    return int(part.stop - part.start)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.geometry.inverse import symmetric_inverse
+from rgbd_calib.geometry.linear import symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.trust.displacement.view_fit import FittedView
 from rgbd_calib.types import IntArray

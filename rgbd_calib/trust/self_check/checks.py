@@ -84,7 +84,7 @@ def check_votes(
 def check_dropped(
     views: Mapping[str, int],
     dropped: Mapping[str, Sequence[str]],
-    moments: Sequence[str],
+    frames_in_time: Sequence[str],
     params: SelfCheckParams,
     what: str = "",
 ) -> list[Finding]:
@@ -94,9 +94,9 @@ def check_dropped(
         n, lost = views.get(name, 0), sorted(set(frames))
         if len(lost) <= max(params.max_dropped_share * n, 1):
             continue
-        places = [moments.index(f) for f in lost if f in moments]
+        places = [frames_in_time.index(f) for f in lost if f in frames_in_time]
         together = places and len(places) > 2 and max(places) - min(places) < 1.3 * len(places)
-        when = f", all between {moments[min(places)]} and {moments[max(places)]}" if together else ""
+        when = f", all between {frames_in_time[min(places)]} and {frames_in_time[max(places)]}" if together else ""
         text = f"{what}{len(lost)} of {name}'s {n} views do not fit the rest and were left out{when}"
         advice = (
             "So many are no accident: the camera moved, its images are of other instants or of another camera, or another "

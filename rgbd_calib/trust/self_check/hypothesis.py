@@ -2,53 +2,60 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2, f
 
-from rgbd_calib.geometry.inverse import symmetric_inverse
+from rgbd_calib.geometry.linear import BoolArray, IntArray, symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.rig.blocks import Fault, Told
 from rgbd_calib.trust.self_check.equations import SEEN, Equations, Score, clear_effect, score_test
-from rgbd_calib.types import IntArray
 
 OWN_SHARE = 1e-3
 """A deviation from a prior whose variance is a smaller share of the prior's tells nothing: the prior decided it."""
-
-Say = Callable[[Score], str]
 
 
 @dataclass(frozen=True)
 class Hypothesis:
     """An error that the model lacks, in some views."""
 
-    name: str
+    fault: Fault
     cameras: tuple[str, ...]
     """Empty: of the board, which all see."""
     columns: IntArray
-    """Local columns; of a prior: those of its parameters."""
-    where: IntArray
+    """Columns of possible errors; of what was known: those of its parameters."""
+    where: BoolArray
     """(V,) bool."""
-    say: Say
-    advice: str
+    frame: str = ""
+    """From which on; empty where it is not of time."""
     effect: FloatArray | None = None
     """Mean square of the error in metres as a quadratic form of its estimate; None: as the columns have it."""
     least_seen: float = SEEN
     """Share of the columns that must be left by what the model has."""
-    of_prior: bool = False
-    """Not an error of the views, but of what was known before."""
+    parameters: IntArray | None = None
+    """Globals of which what was known before is tested; None: an error of the views."""
+
+    @property
+    def name(self) -> str:
+        return self.fault.check
+
+    def say(self, eq: Equations, score: Score) -> str:
+        z = float(np.sqrt(np.average(eq.distance_m[self.where] ** 2, weights=eq.corners[self.where])))
+        named = self.cameras[0] if len(self.cameras) == 1 else ", ".join(self.cameras)
+        return self.fault.say(Told(score.estimate, score.covariance, score.effect_m, named, self.frame, z))
 
     def test(self, eq: Equations) -> Score:
         """How much the solution speaks for it."""
-        if self.of_prior:
-            return prior_test(eq, *self._own(eq), self.where)
+        if self.parameters is not None:
+            return prior_test(eq, *self._known(eq), self.where)
         return score_test(eq, self.columns, self.where, self.effect, self.least_seen)
 
     def accepted(self, eq: Equations) -> Equations:
         """The equations with this error in the model."""
-        wider = eq.without_prior(self._own(eq)[0]) if self.of_prior else eq.extended(self.columns, self.where)
-        return wider.weighed()
+        if self.parameters is not None:
+            return eq.without_prior(self._known(eq)[0]).weighed()
+        return eq.with_error(self.columns, self.where).weighed()
 
     def retest(self, eq: Equations) -> Score:
         """The same with the views' variances as they are once this error is in the model, by Fisher's distribution.
@@ -57,23 +64,23 @@ class Hypothesis:
         variances of pose parts rest on few views, those of single corners on many: the degrees of freedom are those of
         the mixture (F. Satterthwaite, Biometrics Bulletin 2(6), 1946).
         """
-        score = self.test(eq.with_excess(self.accepted(eq).excess))
-        if not score.freedom:
+        score = self.test(replace(eq, excess=self.accepted(eq).excess))
+        if not score.dof:
             return score
-        without = self.test(eq.with_excess(np.zeros_like(eq.excess)))
+        without = self.test(replace(eq, excess=np.zeros_like(eq.excess)))
         share = 1 - float(np.trace(without.covariance) / np.trace(score.covariance))
-        freedom = eq.freedom / max(share, 1e-3) ** 2
-        return replace(score, p=float(f.sf(score.statistic / score.freedom, score.freedom, freedom)))
+        dof = eq.dof / max(share, 1e-3) ** 2
+        return replace(score, p=float(f.sf(score.statistic / score.dof, score.dof, dof)))
 
-    def _own(self, eq: Equations) -> tuple[IntArray, IntArray]:
-        """Parameters of a prior, those that are free and known before, and their columns."""
-        own = eq.index[np.flatnonzero(self.where)[0], self.columns]
-        used = np.asarray(eq.free[own].astype(bool) & (np.diag(eq.prior)[own] > 0))
-        return own[used], self.columns[used]
+    def _known(self, eq: Equations) -> tuple[IntArray, IntArray]:
+        """Globals that are free and known before, and their columns."""
+        assert self.parameters is not None
+        used = eq.free[self.parameters] & (np.diag(eq.prior)[self.parameters] > 0)
+        return self.parameters[used], self.columns[used]
 
 
-def prior_test(eq: Equations, own: IntArray, columns: IntArray, where: IntArray) -> Score:
-    """What was known of the parameters `own` before, against what the recording says of them.
+def prior_test(eq: Equations, own: IntArray, columns: IntArray, where: BoolArray) -> Score:
+    """What was known of the globals `own` before, against what the recording says of them.
 
     With theta0 the prior's mean, of information L, theta the estimate, and C, C' its covariance without and with the
     excess: Var(theta - theta0) = C' + L^-1 - 2 C over the parameters concerned.
@@ -83,18 +90,37 @@ def prior_test(eq: Equations, own: IntArray, columns: IntArray, where: IntArray)
         return Score(0.0, 0.0, 0, 1.0, np.zeros(0), nothing, 0.0)
     at = np.ix_(own, own)
     L_inv = symmetric_inverse(eq.prior[at])
-    d = L_inv @ eq.prior_gradient[own] + eq.step[0][own]
-    variance = eq.honest_covariance[at] + L_inv - 2 * eq.covariance[at]
+    step, plain, sandwich = _of(eq, own)
+    d = L_inv @ eq.prior_gradient[own] + step
+    variance = sandwich + L_inv - 2 * plain
     unit = 1 / np.sqrt(np.diag(L_inv))
     values, vectors = np.linalg.eigh(variance * np.outer(unit, unit))
     kept = values > OWN_SHARE
     if not kept.any():
         return Score(0.0, 0.0, 0, 1.0, d, nothing, 0.0)
     U = vectors[:, kept]
-    y, freedom = U.T @ (unit * d), int(kept.sum())
+    y, dof = U.T @ (unit * d), int(kept.sum())
     statistic = float(np.sum(y**2 / values[kept]))
-    alone = U.T @ ((L_inv - eq.covariance[at]) * np.outer(unit, unit)) @ U
-    plain = float(y @ np.linalg.lstsq(alone, y, rcond=1e-6)[0])
-    size = eq.size[where][:, columns[:, None], columns].sum(axis=0) / max(int(eq.corners[where].sum()), 1)
+    alone = U.T @ ((L_inv - plain) * np.outer(unit, unit)) @ U
+    unscattered = float(y @ np.linalg.lstsq(alone, y, rcond=1e-6)[0])
+    size = eq.rows.size[where][:, columns[:, None], columns].sum(axis=0) / max(int(eq.corners[where].sum()), 1)
     effect_m = clear_effect(y, np.diag(values[kept]), U / unit[:, None], size)
-    return Score(statistic, plain, freedom, float(chi2.sf(statistic, freedom)), d, variance, effect_m)
+    return Score(statistic, unscattered, dof, float(chi2.sf(statistic, dof)), d, variance, effect_m)
+
+
+def _of(eq: Equations, own: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of some globals, with what was taken into the model: the step left, the covariance, and that with the excess."""
+    rows, C = eq.rows, eq.plain.of_globals[own]
+    step, plain = eq.step[0][own], C[:, own]
+    low = rows.low_globals @ C.T  # Q' J C, (V, parts, k)
+    cross = eq.plain.cross(rows.units)[:, own]
+    low = low + np.einsum("vdi,vki->vdk", rows.low_unit, cross)
+    if eq.taken:
+        inverse, score, of_taken = eq.of_taken()
+        reduced = np.concatenate([t.reduced for t in eq.taken], axis=1)
+        X = C @ reduced  # (k, E): what the globals absorb of the errors
+        step = step + X @ (inverse @ score)
+        plain = plain + X @ inverse @ X.T
+        low = low - (of_taken @ inverse @ X.T)
+    sandwich = plain + np.einsum("d,vdp,vdq->pq", eq.excess, low, low, optimize=True)
+    return step, plain, sandwich

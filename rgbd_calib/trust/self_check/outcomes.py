@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
+from rgbd_calib.rig.blocks import Block
+from rgbd_calib.rig.problem import Problem
 from rgbd_calib.trust.self_check.equations import Equations, Score
 from rgbd_calib.trust.self_check.findings import Finding, SelfCheckParams
 from rgbd_calib.trust.self_check.hypotheses import hypotheses_of
@@ -27,16 +29,16 @@ class Outcome:
 
     @property
     def gain(self) -> float:
-        """By how much the hypothesis fits better, its freedom counted (Akaike): orders those that tell of one thing."""
-        return self.score.statistic - 2 * self.score.freedom
+        """By how much the hypothesis fits better, its degrees of freedom counted (Akaike): orders those that tell of one thing."""
+        return self.score.statistic - 2 * self.score.dof
 
     @property
     def plain_gain(self) -> float:
         """The same, had views no errors of their own."""
-        return self.score.plain - 2 * self.score.freedom
+        return self.score.plain - 2 * self.score.dof
 
 
-def outcomes_of(eq: Equations, params: SelfCheckParams) -> list[Outcome]:
+def outcomes_of(eq: Equations, problem: Problem, held: tuple[Block, ...], params: SelfCheckParams) -> list[Outcome]:
     """All of them.
 
     Raises
@@ -44,7 +46,7 @@ def outcomes_of(eq: Equations, params: SelfCheckParams) -> list[Outcome]:
     numpy.linalg.LinAlgError
         The equations are numerically singular.
     """
-    outcomes = [Outcome(hypothesis, hypothesis.test(eq)) for hypothesis in hypotheses_of(eq, params)]
+    outcomes = [Outcome(hypothesis, hypothesis.test(eq)) for hypothesis in hypotheses_of(eq, problem, held, params)]
     if not all(np.isfinite(o.score.statistic) for o in outcomes):
         raise np.linalg.LinAlgError("a statistic is not finite")
     return _retested(eq, outcomes)
@@ -55,7 +57,7 @@ def _retested(eq: Equations, outcomes: list[Outcome]) -> list[Outcome]:
     best: dict[tuple[str, tuple[str, ...]], Outcome] = {}
     for o in outcomes:
         key = o.hypothesis.name, o.hypothesis.cameras
-        likely = o.score.freedom and float(chi2.sf(o.score.plain, o.score.freedom)) < SUSPECT_P
+        likely = o.score.dof and float(chi2.sf(o.score.plain, o.score.dof)) < SUSPECT_P
         if likely and (key not in best or o.plain_gain > best[key].plain_gain):
             best[key] = o
     suspects = sorted(best.values(), key=lambda o: -o.plain_gain)[:MAX_SUSPECTS]
@@ -86,8 +88,8 @@ def findings_of(
             t.hypothesis.name,
             "distrust" if 1e3 * t.score.effect_m > max(params.distrust_mm, stated_mm) else "caution",
             t.hypothesis.cameras,
-            t.hypothesis.say(t.score),
-            t.hypothesis.advice,
+            t.hypothesis.say(eq, t.score),
+            t.hypothesis.fault.advice,
             round(1e3 * t.score.effect_m, 2),
             t.score.p,
         )

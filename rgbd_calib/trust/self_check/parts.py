@@ -8,20 +8,20 @@ import numpy as np
 
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.residuals import Residuals
-from rgbd_calib.rig.bundle import BundleResult
-from rgbd_calib.trust.self_check import NO_MOMENT, Equations, Noise, SelfCheckParams, group_ratios
+from rgbd_calib.rig.solution import Solution
+from rgbd_calib.trust.self_check import ALONE, Equations, Noise, SelfCheckParams, group_ratios
 from rgbd_calib.types import IntArray
 
 
-def noise_of_bundle(solved: BundleResult, eq: Equations) -> dict[str, Noise]:
+def noise_of_bundle(solved: Solution, eq: Equations) -> dict[str, Noise]:
     out = {}
-    w = solved.weights
+    w = solved.problem.weights
     for i, name in enumerate(solved.cameras):
         mine = (eq.camera == i) & eq.shared
         if not mine.any():
             continue
         n, z = float(np.mean(eq.corners[mine])), float(np.mean(eq.distance_m[mine]))
-        has_depth = solved.has_bias[i]
+        has_depth = solved.has_depth[i]
         # the pose part's 6 (3) of 2 n (n) residuals have `ratio` times the deviation of the others
         px = w.sigma_2d_px[i] * np.sqrt(np.sum(w.ratio_pixel**2) / n)
         mm = 1e3 * w.k_depth[i] * z**2 * np.sqrt(np.sum(w.ratio_depth**2) / n)
@@ -34,17 +34,17 @@ def noise_of_bundle(solved: BundleResult, eq: Equations) -> dict[str, Noise]:
     return out
 
 
-def ratios_of_bundle(solved: BundleResult, eq: Equations, params: SelfCheckParams) -> dict[tuple[str, str, str], float]:
-    obs = solved.obs
-    sigma_px = solved.weights.sigma_2d_px[obs.camera]
-    of_frame = {name: k for k, name in enumerate(eq.moments)}
-    moment = np.array([of_frame.get(name, NO_MOMENT) for name in solved.frames])[obs.frame]
+def ratios_of_bundle(solved: Solution, eq: Equations, params: SelfCheckParams) -> dict[tuple[str, str, str], float]:
+    obs, weights = solved.problem.obs, solved.problem.weights
+    sigma_px, sigma_m = weights.sigma_2d_px[obs.camera], weights.k_depth[obs.camera][:, None] * obs.depth_m**2
+    of_frame = {name: k for k, name in enumerate(eq.frames)}
+    time_index = np.array([of_frame.get(name, ALONE) for name in solved.course.frames])[obs.frame]
     out: dict[tuple[str, str, str], float] = {}
     for i, name in enumerate(solved.cameras):
-        lens = solved.priors[name].intrinsics
+        lens = solved.prior_of(name).intrinsics
         for kind, used, r in (
-            ("pixels", obs.has_pixel, np.linalg.norm(solved.residual_pixel, axis=-1) / np.sqrt(2) / sigma_px[:, None]),
-            ("depth", obs.has_depth, solved.residual_depth / solved.weights.k_depth[obs.camera][:, None]),
+            ("pixels", obs.has_pixel, np.linalg.norm(solved.residuals[0], axis=-1) / np.sqrt(2) / sigma_px[:, None]),
+            ("depth", obs.has_depth, solved.residuals[1] / sigma_m),
         ):
             mine = used & (obs.camera == i)[:, None]
             size = np.array([lens.width, lens.height])
@@ -54,21 +54,21 @@ def ratios_of_bundle(solved: BundleResult, eq: Equations, params: SelfCheckParam
                 r[mine],
                 obs.pixels_px[mine] / size,
                 obs.depth_m[mine] if kind == "depth" else None,
-                np.broadcast_to(moment[:, None], mine.shape)[mine],
-                len(eq.moments),
+                np.broadcast_to(time_index[:, None], mine.shape)[mine],
+                len(eq.frames),
                 params,
             )
     return out
 
 
 def ratios_of_residuals(
-    r: Residuals, moments: Sequence[str], params: SelfCheckParams
+    r: Residuals, frames_in_time: Sequence[str], params: SelfCheckParams
 ) -> dict[tuple[str, str, str], float]:
-    at = {name: k for k, name in enumerate(moments)}
+    at = {name: k for k, name in enumerate(frames_in_time)}
     out: dict[tuple[str, str, str], float] = {}
     for name in np.unique(r.camera):
         own = r.of(str(name))
-        moment = np.array([at.get(str(f), NO_MOMENT) for f in own.frame])
+        time_index = np.array([at.get(str(f), ALONE) for f in own.frame])
         size = np.maximum(own.pixels_px.max(axis=0), 1.0)
         length = np.linalg.norm(own.residual_px, axis=1)
         for kind, used, value in (
@@ -81,8 +81,8 @@ def ratios_of_residuals(
                 value[used],
                 own.pixels_px[used] / size,
                 own.depth_m[used] if kind == "depth" else None,
-                moment[used],
-                len(moments),
+                time_index[used],
+                len(frames_in_time),
                 params,
             )
     return out
@@ -94,17 +94,17 @@ def parts(
     r: FloatArray,
     at: FloatArray,
     depth_m: FloatArray | None,
-    moment: IntArray,
-    n_moments: int,
+    time_index: IntArray,
+    n_frames_in_time: int,
     params: SelfCheckParams,
 ) -> dict[tuple[str, str, str], float]:
     """Noise of parts of one camera's residuals over its whole: in time, over the image, over the range."""
     out = {}
-    rig = moment != NO_MOMENT
+    rig = time_index != ALONE
     cuts = [
         (
             "time",
-            np.where(rig, 2 * moment // max(n_moments, 1), 2),
+            np.where(rig, 2 * time_index // max(n_frames_in_time, 1), 2),
             ("in its first half", "in its second half", "close"),
         ),
         ("image", (np.abs(at - 0.5).max(axis=1) > 0.35).astype(int), ("in the middle", "near the image's edge")),

@@ -9,12 +9,12 @@ import pytest
 from synthetic_views import BOARD, arc, make_recording
 
 from rgbd_calib.io.rig import read_rig
-from rgbd_calib.pipeline import max_views
+from rgbd_calib.pipeline import frame_selection
 from rgbd_calib.pipeline.calibrate import prepare_views
 from rgbd_calib.pipeline.config import load_config
 from rgbd_calib.pipeline.detection import Detections
 from rgbd_calib.pipeline.evaluate import against_truth
-from rgbd_calib.rig.bundle.selection import choose_frames
+from rgbd_calib.rig.frame_selection import choose_frames
 
 FRAMES, FEW = 48, 12
 
@@ -32,7 +32,7 @@ def whole(long):
     config = load_config(None)
     recording = open_recording(long.path)
     views = prepare_views(recording, config, long.intrinsics, long.depth_bias, Detections(tuple(long.views), ()))
-    priors = max_views.bundle_priors(views.lenses, views.biases, recording.cameras)
+    priors = frame_selection.bundle_priors(views.lenses, views.biases, recording.cameras)
     return views, priors
 
 
@@ -100,11 +100,11 @@ def test_the_command_says_what_is_lost_and_it_is_so(long, run, tmp_path):
         told[name] = run("calibrate", long.path, *sources, *options, "-o", tmp_path / f"{name}.yaml")
         assert told[name].status == 0, told[name].stderr
     few, whole = read_rig(tmp_path / "few.yaml"), read_rig(tmp_path / "all.yaml")
-    assert "frame_selection" not in whole.quality and "tell most" not in told["all"].stderr
+    assert "frame_selection" not in whole.quality and "most informative" not in told["all"].stderr
     own = few.quality["frame_selection"]
     assert (own["frames"], own["used"], len(own["left_out"])) == (FRAMES, FEW, FRAMES - FEW)
     assert all(count <= FEW for count in few.quality["views_used"].values())
-    assert f"{FEW} of {FRAMES} frames used, those that tell most: expected error" in told["few"].stderr
+    assert f"{FEW} of {FRAMES} frames used, the most informative: expected error" in told["few"].stderr
     # the estimate for all takes the same sigmas; those of few frames are known to a tenth, and a part of the expectation
     # does not fall with the number of frames
     expected_mm = whole.quality["expected_alignment"]["mean_mm"]

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from rgbd_calib.geometry.inverse import symmetric_inverse
+from rgbd_calib.geometry.linear import BoolArray, Covariance, symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.rig.bundle.model import INTRINSICS, State
-from rgbd_calib.rig.bundle.solve import BoolArray, Covariance, Prior
+from rgbd_calib.rig.problem import Prior, Problem
 
 PRIOR_SHARE = 0.7
 """A parameter whose standard deviation is more than this share of its prior's was hardly determined by the data."""
 MAX_CORRELATION = 0.99
 
-NAMES = ("focal length fx", "focal length fy", "principal point cx", "principal point cy", "k1", "k2", "p1", "p2", "k3")
 ADVICE = {
     "focal": "film the board nearer and farther, and tilted",
     "principal": "film the board tilted both ways, also turned by a quarter",
@@ -35,35 +32,36 @@ class Observability:
     """(P,) bool: the recording adds next to nothing to the prior; these are held at it."""
 
 
-def examine(cameras: Sequence[str], state: State, cov: Covariance, prior: Prior) -> Observability:
+def examine(problem: Problem, cov: Covariance) -> Observability:
     """Compare the posterior with the prior, and look for correlations of nearly one."""
-    n = state.n_camera
-    sd = np.sqrt(np.maximum(np.diag(cov.cameras), 0))
-    prior_sd = _prior_sd(prior)
-    undetermined = prior.free & (sd > PRIOR_SHARE * prior_sd)
+    prior, cameras = problem.prior, problem.setup.cameras
+    sd = np.sqrt(np.maximum(np.diag(cov.of_globals), 0))
+    undetermined = prior.free & (sd > PRIOR_SHARE * _prior_sd(prior))
+    lens, bias = problem.block("intrinsics"), problem.block("depth bias")
     sentences = []
     for i, camera in enumerate(cameras):
         names: dict[str, list[str]] = {}
-        for k in range(INTRINSICS.start, n):
-            if undetermined[i * n + k] and prior.assumed[i * n + k]:
-                name, kind = _name(k)
-                names.setdefault(kind, []).append(name)
+        for block in (lens, bias):
+            for k, name in zip(problem.index(block.name, i), block.parameters, strict=True):
+                if undetermined[k] and prior.assumed[k]:
+                    names.setdefault(_kind(name), []).append(name)
         sentences += [
             f"{camera}'s {' and '.join(found)} {'is' if len(found) == 1 else 'are'} fixed by what was assumed, not by the "
             f"recording: {ADVICE[kind]}"
             for kind, found in names.items()
         ]
     free = np.flatnonzero(prior.free & (sd > 0))
-    correlation = cov.cameras[np.ix_(free, free)] / np.outer(sd[free], sd[free])
-    for a, b in np.argwhere(np.triu(np.abs(correlation), 1) > MAX_CORRELATION):
-        i, j = free[a], free[b]
-        of_a_lens = INTRINSICS.start <= i % n < INTRINSICS.stop  # a polynomial's coefficients go together by nature
-        if i // n == j // n and i // n < len(cameras) and of_a_lens and j % n >= INTRINSICS.start:
-            (name_a, kind), (name_b, _) = _name(i % n), _name(j % n)
-            sentences.append(
-                f"{cameras[i // n]}'s {name_a} and {name_b} cannot be told apart (correlation {correlation[a, b]:+.3f}): "
-                f"{ADVICE[kind]}"
-            )
+    correlation = cov.of_globals[np.ix_(free, free)] / np.outer(sd[free], sd[free])
+    place = {int(k): n for n, k in enumerate(free)}
+    for i, camera in enumerate(cameras):
+        of_lens = list(zip(problem.index(lens.name, i), lens.parameters, strict=True))
+        others = of_lens + list(zip(problem.index(bias.name, i), bias.parameters, strict=True))
+        for a, (j, name_a) in enumerate(of_lens):  # a polynomial's coefficients go together by nature
+            for k, name_b in others[a + 1 :]:
+                if j in place and k in place and abs(c := correlation[place[j], place[k]]) > MAX_CORRELATION:
+                    sentences.append(
+                        f"{camera}'s {name_a} and {name_b} cannot be told apart (correlation {c:+.3f}): {ADVICE[_kind(name_a)]}"
+                    )
     eigenvalues = np.linalg.eigvalsh(correlation) if len(free) else np.ones(1)
     return Observability(tuple(sentences), float(max(eigenvalues[0], 0) / eigenvalues[-1]), undetermined)
 
@@ -73,9 +71,7 @@ def _prior_sd(prior: Prior) -> FloatArray:
     return np.where(np.diag(prior.information) > 0, np.sqrt(variance), np.inf)
 
 
-def _name(k: int) -> tuple[str, str]:
-    """Name of a camera's local parameter, and the kind of advice for it."""
-    if k >= INTRINSICS.stop:
-        return f"depth bias c{k - INTRINSICS.stop}", "depth"
-    name = NAMES[k - INTRINSICS.start]
-    return name, name.split()[0] if " " in name else "lens"
+def _kind(name: str) -> str:
+    """The kind of advice for a parameter."""
+    first = name.split()[0]
+    return first if first in ADVICE else "lens"

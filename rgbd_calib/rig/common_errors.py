@@ -11,7 +11,7 @@ r = (1 - H)(e + tau sum_k c_k a_k), H = J A^-1 J', so that T = sum_k (a_k' r)^2 
 
     E T = sum_k (n_k + a_k' Q (ratio^2 - 1) Q' a_k - s_k' A^-1 s_k) / n_k  +  tau^2 sum_kj (n_k [k=j] - s_k' A^-1 s_j)^2 / n_k
 
-(the first sum with the pose parts of :mod:`.solve`), which is solved for tau^2: the method of moments for a variance
+(the first sum with the pose parts of :mod:`.weights`), which is solved for tau^2: the method of moments for a variance
 component (C. R. Henderson, Biometrics 9(2), 1953). The estimate's covariance grows by tau^2 sum_k A^-1 s_k s_k' A^-1.
 """
 
@@ -21,11 +21,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rgbd_calib.geometry.linear import Covariance, IntArray, product
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.rig.bundle import solve
-from rgbd_calib.rig.bundle.model import Observations, State
-from rgbd_calib.rig.bundle.solve import Covariance, System, Weights
-from rgbd_calib.types import Board, IntArray
+from rgbd_calib.rig.blocks.block import Kind
+from rgbd_calib.rig.observations import Observations
+from rgbd_calib.rig.problem import Problem, State
 
 GRID = (8, 6)
 """Cells of the image, across and down: finer than the lens model's own shapes, coarse enough to hold several views."""
@@ -46,43 +46,38 @@ class CommonErrors:
     """(P, P) that they add to the global parameters'."""
 
 
-def common_errors(
-    state: State,
-    obs: Observations,
-    board: Board,
-    weights: Weights,
-    system: System,
-    cov: Covariance,
-    sizes_px: FloatArray,
-) -> CommonErrors:
-    """Estimate what residuals share at the minimum, from its equations; `sizes_px` (C, 2): width and height of the images."""
+def common_errors(problem: Problem, state: State, cov: Covariance) -> CommonErrors:
+    """Estimate what residuals share at the minimum, from its equations."""
+    obs, weights, sizes_px = problem.obs, problem.weights, problem.setup.sizes_px
     cells = _cells(obs, sizes_px)
-    K, F, P = len(sizes_px) * N_CELLS, len(state.T_parent_board), state.n_global
+    K, F, P, D = len(sizes_px) * N_CELLS, problem.pattern.n_units, problem.n_globals, problem.unit_size
     n, total, in_pose = np.zeros(K), np.zeros(K), np.zeros(K)
-    D = state.n_structure
-    by_global, by_structure = np.zeros((K, P)), np.zeros((F, K, D))
-    ratios = weights.ratio_pixel, weights.ratio_depth
-    for part in solve.blocks(state, obs, board, weights):
-        cell = cells[part.views]
-        used = np.abs(part.J).max(axis=-1) > 0
-        row, corner, axis = np.nonzero(used & (cell >= 0))
-        k, J = cell[row, corner, axis], part.J[row, corner, axis]
+    by_global, by_unit = np.zeros((K, P)), np.zeros((F, K, D))
+    for views, look, rows in problem.rows(state):
+        of_pixels = look.kind is Kind.PIXEL
+        cell = cells[views][..., :2] if of_pixels else cells[views][..., 2:]
+        used = (np.abs(rows.J_unit).max(axis=-1) > 0) | (np.abs(rows.J).max(axis=-1) > 0)
+        view, corner, axis = np.nonzero(used & (cell >= 0))
+        k = cell[view, corner, axis]
         n += np.bincount(k, minlength=K)
-        total += np.bincount(k, part.r[row, corner, axis], minlength=K)
-        np.add.at(by_global, (k[:, None], part.columns[row]), J[:, :-D])
-        np.add.at(by_structure, (part.frame[row], k), J[:, -D:])
-        for rows, Q, ratio in ((axis < 2, weights.Q_pixel, ratios[0]), (axis == 2, weights.Q_depth, ratios[1])):
-            place = (corner * 2 + axis if Q is weights.Q_pixel else corner)[rows]
-            view, where = row[rows] + part.views.start, k[rows]
-            pairs, which = np.unique(np.stack([view, where]), axis=1, return_inverse=True)
-            sums = np.zeros((pairs.shape[1], Q.shape[2]))
-            np.add.at(sums, which.ravel(), Q[view, place])
-            in_pose += np.bincount(pairs[1], sums**2 @ (ratio**2 - 1), minlength=K)
+        total += np.bincount(k, rows.r[view, corner, axis], minlength=K)
+        np.add.at(by_global, (k[:, None], rows.columns), rows.J[view, corner, axis])
+        if rows.J_point.shape[-1]:
+            np.add.at(by_global, (k[:, None], rows.point_columns[view, corner]), rows.J_point[view, corner, axis])
+        np.add.at(by_unit, (rows.units[view], k), rows.J_unit[view, corner, axis])
+        Q, ratio = (weights.Q_pixel, weights.ratio_pixel) if of_pixels else (weights.Q_depth, weights.ratio_depth)
+        place = corner * cell.shape[-1] + axis
+        pairs, which = np.unique(np.stack([view, k]), axis=1, return_inverse=True)
+        sums = np.zeros((pairs.shape[1], Q.shape[2]))
+        np.add.at(sums, which.ravel(), Q[views[view], place])
+        in_pose += np.bincount(pairs[1], sums**2 @ (ratio**2 - 1), minlength=K)
+    eq = cov.equations
+    reduced = by_global.copy()
+    for WV, units, at in zip(eq.WV, eq.pattern.units, eq.pattern.columns, strict=True):
+        reduced[:, at] -= np.einsum("npi,nki->kp", WV, by_unit[units], optimize=True)
+    moved = reduced @ cov.of_globals  # A^-1 s_k
+    absorbed = moved @ reduced.T + product(by_unit @ eq.V_inv, by_unit)
     of_depth = np.arange(K) % N_CELLS >= N_CELLS - RANGE_CELLS
-    V_inv = np.linalg.inv(system.V)
-    reduced = by_global - np.einsum("fpi,fki->kp", system.W @ V_inv, by_structure, optimize=True)
-    moved = by_global @ cov.cameras + np.einsum("fpi,fki->kp", cov.cross, by_structure, optimize=True)  # A^-1 s_k
-    absorbed = moved @ reduced.T + solve.product(by_structure @ V_inv, by_structure)
     tau = []
     covariance = np.zeros((P, P))
     for mine in (~of_depth, of_depth):

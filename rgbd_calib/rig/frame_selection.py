@@ -14,12 +14,13 @@ from itertools import combinations
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError
+from rgbd_calib.geometry.linear import IntArray, reduced_information
 from rgbd_calib.geometry.selection import most_informative
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.rig.bundle import model, solve, variance
-from rgbd_calib.rig.bundle.params import BundleParams, CameraPrior
-from rgbd_calib.rig.bundle.start import bias_terms, depth_ranges, depth_units, prior_of, start
-from rgbd_calib.types import Board, IntArray, PlacedView
+from rgbd_calib.rig.bundle import problem_of
+from rgbd_calib.rig.problem import Problem
+from rgbd_calib.rig.setup import BundleParams, CameraPrior
+from rgbd_calib.types import Board, PlacedView
 
 POSE_SD = 1.0
 """Of what is known of a camera's pose before, rad and m: nothing; it keeps the matrix from being singular."""
@@ -31,12 +32,12 @@ class FrameChoice:
 
     chosen: tuple[str, ...]
     left_out: tuple[str, ...]
+    problem: Problem
+    """At the start, with its first weights."""
     covariance: FloatArray
-    """(P, P), of all cameras' parameters and the bow, with the chosen frames; P as in the bundle."""
+    """(P, P), of the problem's globals, with the chosen frames."""
     covariance_of_all: FloatArray
     """(P, P), with all frames."""
-    parameters: dict[str, slice]
-    """Where each camera's parameters stand."""
 
 
 def choose_frames(
@@ -75,9 +76,9 @@ def choose_frames(
     return FrameChoice(
         taken,
         tuple(frame for frame in frames if frame not in set(taken)),
+        equations.problem,
         equations.covariance(few),
         equations.covariance(whole),
-        equations.parameters,
     )
 
 
@@ -96,7 +97,7 @@ def _one_for_each_pair(views: Sequence[PlacedView], frames: Sequence[str]) -> li
 
 
 class _Equations:
-    """The information of every view at the start, kept by view; put together by frame when it is asked for."""
+    """What every frame says at the start, put together when it is asked for."""
 
     def __init__(
         self,
@@ -109,47 +110,31 @@ class _Equations:
         params: BundleParams,
     ) -> None:
         every = [*views, *alone]
-        n_bias = bias_terms(priors)
-        obs, self.frames = model.observe(every, board, depth_units(priors), depth_ranges(every, priors), n_bias)
-        state = start(every, self.frames, obs, priors, T_world_color, n_bias)
-        prior = prior_of(state, obs, priors, reference, params)
-        weights = variance.initial(obs, len(priors), params.sigma_2d_px, params.k_depth_per_m)
-        self._free, self._P = prior.free, state.n_global
-        D = state.n_structure
-        self._views: list[list[tuple[IntArray, FloatArray]]] = [[] for _ in self.frames]
-        V = np.zeros((len(self.frames), D, D))
-        for part in solve.blocks(state, obs, board, weights):
-            J = part.J.reshape(len(part.J), -1, part.J.shape[-1])
-            H = J.transpose(0, 2, 1) @ J
-            for frame, columns, own in zip(part.frame, part.columns, H, strict=True):
-                self._views[frame].append((columns, own[:-D]))
-                V[frame] += own[-D:, -D:]
-        values, vectors = np.linalg.eigh(V)
-        seen = values > 1e-12 * values[:, -1:]
-        # V^-1 = R R'
-        self._roots = vectors * np.where(seen, 1 / np.sqrt(np.where(seen, values, 1.0)), 0.0)[:, None]
-        n = state.n_camera
-        self.parameters = {name: slice(i * n, (i + 1) * n) for i, name in enumerate(priors)}
-        pose = np.zeros(self._P, bool)
-        for own_slice in self.parameters.values():
-            pose[own_slice.start : own_slice.start + 6] = True
-        before = prior.information + np.diag(pose / POSE_SD**2)
+        self.problem, self._state, self.frames = problem_of(every, board, priors, T_world_color, reference, params)
+        own = self.problem
+        pose = np.zeros(own.n_globals, bool)
+        pose[own.index("pose")] = True
+        before = own.prior.information + np.diag(pose / POSE_SD**2)
+        self._free = own.prior.free
         self.known: FloatArray = before[np.ix_(self._free, self._free)]
         """What is known without any frame, of the free parameters."""
+        self._kept: dict[int, tuple[IntArray, FloatArray]] = {}
 
     def reduced(self, frame: int) -> FloatArray:
         """What a frame says of the free parameters, whatever its board's pose."""
-        D = self._roots.shape[1]
-        U, W = np.zeros((self._P, self._P)), np.zeros((self._P, D))
-        for columns, H in self._views[frame]:
-            U[columns[:, None], columns] += H[:, :-D]
-            W[columns] += H[:, -D:]
-        W = (W @ self._roots[frame])[self._free]
-        out: FloatArray = U[self._free][:, self._free] - W @ W.T
-        return out
+        own = self.problem
+        if frame not in self._kept:
+            columns = own.pattern.columns[own.pattern.group[frame]]
+            views = np.flatnonzero(own.obs.frame == frame)
+            rows = (rows for _, _, rows in own.rows(self._state, views))
+            self._kept[frame] = columns, reduced_information(rows, columns)
+        columns, S = self._kept[frame]
+        out = np.zeros((own.n_globals,) * 2)
+        out[np.ix_(columns, columns)] = S
+        return np.asarray(out[np.ix_(self._free, self._free)])
 
     def covariance(self, information: FloatArray) -> FloatArray:
         """(P, P), rows and columns of held parameters zero."""
-        out = np.zeros((self._P, self._P))
+        out = np.zeros((self.problem.n_globals,) * 2)
         out[np.ix_(self._free, self._free)] = np.linalg.inv(information)
         return out

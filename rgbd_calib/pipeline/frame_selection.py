@@ -13,9 +13,10 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import CameraInfo
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.prepare import IntrinsicsSource
-from rgbd_calib.rig.bundle import CameraPrior
-from rgbd_calib.rig.bundle.selection import FrameChoice, choose_frames
-from rgbd_calib.trust.uncertainty import expected_alignment, volume
+from rgbd_calib.rig.blocks import Scope
+from rgbd_calib.rig.frame_selection import FrameChoice, choose_frames
+from rgbd_calib.rig.setup import CameraPrior
+from rgbd_calib.trust.uncertainty import JointCovariance, expected_alignment, volume
 from rgbd_calib.types import Board, DepthBias, PlacedView, Rig, RigCamera
 from rgbd_calib.views.association import AssociationResult
 from rgbd_calib.views.board_pose import pose_view
@@ -55,7 +56,7 @@ def told(quality: Mapping[str, Any]) -> str | None:
     own = quality.get("frame_selection")
     if own is None:
         return None
-    text = f"{own['used']} of {own['frames']} frames used, those that tell most"
+    text = f"{own['used']} of {own['frames']} frames used, the most informative"
     if "expected_mm" in own:
         return (
             f"{text}: expected error {own['expected_mm']:.2f} mm in the mean, {own['expected_mm_with_all']:.2f} mm estimated "
@@ -104,7 +105,7 @@ def select(
     board: Board,
     config: Config,
 ) -> tuple[AssociationResult, Selection | None]:
-    """The association of at most `config.max_views` frames, those that tell most; as it is where it has no more.
+    """The association of at most `config.max_views` frames, the most informative; as it is where it has no more.
 
     Raises
     ------
@@ -146,8 +147,11 @@ def _ratio(
         },
     )
     points_m = volume(_corners_m(association, board), GRID)
+    own = choice.problem
+    blocks = [b.name for b in own.blocks if b.scope is Scope.CAMERA]
+    parameters = {c: {b: own.index(b, i) for b in blocks} for i, c in enumerate(own.setup.cameras)}
     few, whole = (
-        expected_alignment(rig, covariance, choice.parameters, points_m, with_depth)
+        expected_alignment(rig, JointCovariance(covariance, parameters), points_m, with_depth)
         for covariance in (choice.covariance, choice.covariance_of_all)
     )
     if few is None or whole is None:

@@ -1,13 +1,17 @@
-"""What the bundle is told: settings, and what is known of each camera before."""
+"""What an estimate starts from: cameras and what is known of them, the board, the observations, and settings."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.types import DepthBias
+from rgbd_calib.rig.observations import Observations
+from rgbd_calib.types import Board, DepthBias
 
 N_WEAK_BIAS = 3
 """Coefficients of a depth bias that has no recording: offset, scale, curvature."""
@@ -15,7 +19,7 @@ N_WEAK_BIAS = 3
 
 @dataclass(frozen=True)
 class BundleParams:
-    """Priors where nothing was measured, rules for gross errors, and when to stop."""
+    """Priors where nothing was measured, rules for outliers, and when to stop."""
 
     sigma_2d_px: float = 0.2
     """First guess; estimated from the residuals."""
@@ -28,6 +32,10 @@ class BundleParams:
     free_bow: bool = True
     bow_sd_m: float = 0.001
     """Prior of the board's bow: boards are flat to about a millimetre."""
+    print_aspect_sd: float = 0.003
+    """Prior of the difference of the print's two scales: office printers are off by 0.1 to 0.6 %."""
+    print_shear_sd_rad: float = 0.0026
+    """Prior of the angle by which the print's axes are from square, 0.15 degrees."""
     weak_focal: float = 0.1
     """Prior of focal lengths that the recording itself determines, as a share of them: only against a singular matrix."""
     weak_centre: float = 0.1
@@ -62,25 +70,43 @@ class CameraPrior:
 
     intrinsics: Intrinsics
     intrinsics_sd: FloatArray | None
-    """(9,) standard deviations of a given calibration; None: none are known."""
+    """(4 + n,) standard deviations of a given calibration; None: none are known."""
     from_views: bool
     """True where the intrinsics are only a start: the views that they rest on are in the bundle."""
     bias: DepthBias | None
-    held: Literal["nothing", "lens", "all"] = "nothing"
+    held: Literal["nothing", "intrinsics", "all"] = "nothing"
     """What is known exactly: intrinsics and depth bias, or the pose too (its start is the pose)."""
     depth_unit_m: float = 0.001
     """Depth comes in whole multiples of it."""
 
 
 @dataclass(frozen=True)
-class Round:
-    """Weights after one round."""
+class Setup:
+    """What blocks and terms are made from."""
 
-    cost: float
-    sigma_2d_px: tuple[float, ...]
-    k_depth: tuple[float, ...]
-    cell_exponent: float
-    ratio_pixel: float
-    """RMS over the kinds of pose part."""
-    ratio_depth: float
-    dropped_views: int
+    cameras: tuple[str, ...]
+    priors: tuple[CameraPrior, ...]
+    reference: str
+    T_world_color: FloatArray
+    """(C, 4, 4), the start."""
+    board: Board
+    obs: Observations
+    params: BundleParams
+
+    @classmethod
+    def of(
+        cls,
+        priors: Mapping[str, CameraPrior],
+        reference: str,
+        T_world_color: Mapping[str, FloatArray],
+        board: Board,
+        obs: Observations,
+        params: BundleParams,
+    ) -> Setup:
+        poses = np.stack([T_world_color[name] for name in priors])
+        return cls(tuple(priors), tuple(priors.values()), reference, poses, board, obs, params)
+
+    @property
+    def sizes_px(self) -> FloatArray:
+        """(C, 2), width and height of the images."""
+        return np.array([prior.intrinsics.size_px for prior in self.priors])

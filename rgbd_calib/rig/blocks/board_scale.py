@@ -1,0 +1,42 @@
+"""The size of the board's squares: the user's word is taken, and the depth says how well it agrees."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.rig.blocks.block import Fault, Told
+from rgbd_calib.rig.blocks.board_shape import BoardShapeBlock, nominal_corners_m
+
+
+def _say(t: Told) -> str:
+    sd = float(np.sqrt(max(t.covariance[0, 0], 0)))
+    return (
+        f"The depth says that the board's squares are {100 * t.estimate[0]:+.2f} % (\u00b1 {100 * sd:.2f} %) from the stated "
+        f"size: all distances are off by {t.mm} at {t.distance_m:.1f} m, or the depth is"
+    )
+
+
+class BoardScale(BoardShapeBlock):
+    """By how much all of it is larger, a share."""
+
+    name = "scale"
+    held = Fault(
+        "scale",
+        _say,
+        "Measure the print with a ruler over as many squares as there are and correct `square`; if it is right, check the "
+        "depth's unit and the distances of the bias recording",
+    )
+    least_seen = (
+        1e-9  # the board's size is not seen in pixels; what is known of the depth before is little against them
+    )
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        return ("scale of the board",)
+
+    def table(self) -> FloatArray:
+        return nominal_corners_m(self.setup.board)[..., None]
+
+    def effect(self, distance_m: float, lateral_m: float) -> FloatArray:
+        return np.array([[distance_m**2]])

@@ -1,0 +1,100 @@
+"""The depth's error along the range: z_true = z + c0 + c1 z + c2 z^2 + ..., z held to the range of the data."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.polynomial import polynomial
+
+from rgbd_calib.geometry.linear import symmetric_inverse
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.rig.blocks.block import BlockPrior, Fault
+from rgbd_calib.rig.blocks.depth_error import DepthErrorBlock
+from rgbd_calib.rig.setup import N_WEAK_BIAS, BundleParams
+from rgbd_calib.types import DepthBias
+
+
+class DepthBiasBlock(DepthErrorBlock):
+    """c0, c1, ... of each camera, (C, the longest)."""
+
+    name = "depth bias"
+    over_time = Fault(
+        "depth over time",
+        lambda t: (
+            f"{t.camera}'s depth offset changed by {1e3 * abs(t.estimate[0] + t.estimate[1] * t.distance_m):.1f} mm (at "
+            f"{t.distance_m:.1f} m) at frame {t.frame}"
+        ),
+        "Let the sensor warm up for half an hour, and record again, the bias recording too",
+        parameters=2,
+    )
+    between_recordings = Fault(
+        "depth between recordings",
+        lambda t: f"{t.camera}'s depth in the rig's recording differs from that of its intrinsic recording, by {t.mm}",
+        "Check that both are of the same camera, mode and depth scale; let the sensor warm up before either",
+        parameters=2,
+    )
+    known = Fault(
+        "bias given",
+        lambda t: f"{t.camera}'s depth on the board differs from its known depth bias, by {t.mm} RMS",
+        "Check the distances of the bias recording (unit, from the lens to the wall, square to it) and that it is of "
+        "this camera; without one, its depth scale, or the board's squares",
+    )
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        given = [len(p.bias.coefficients) for p in self.setup.priors if p.bias is not None]
+        return tuple(f"depth bias c{k}" for k in range(max([N_WEAK_BIAS, *given])))
+
+    @cached_property
+    def range_m(self) -> FloatArray:
+        """(C, 2): where each bias is a polynomial; the prior's range, else the range of the data."""
+        obs, ranges = self.setup.obs, []
+        for i, prior in enumerate(self.setup.priors):
+            z = obs.depth_m[(obs.camera == i)[:, None] & obs.has_depth]
+            if prior.bias is not None:
+                ranges.append((prior.bias.min_m, prior.bias.max_m))
+            else:
+                ranges.append((float(z.min()), float(z.max())) if len(z) else (0.0, 1.0))
+        return np.array(ranges)
+
+    def start(self) -> FloatArray:
+        out = np.zeros((self.sets, self.n))
+        for row, prior in zip(out, self.setup.priors, strict=True):
+            if prior.bias is not None:
+                row[: len(prior.bias.coefficients)] = prior.bias.coefficients
+        return out
+
+    def prior(self) -> BlockPrior:
+        obs, n = self.setup.obs, self.n
+        information, free = np.zeros((self.size,) * 2), np.zeros((self.sets, n), bool)
+        assumed = np.zeros((self.sets, n), bool)
+        for i, prior in enumerate(self.setup.priors):
+            n_own = self.n_own(i)
+            free[i, :n_own] = bool(np.any(obs.has_depth[obs.camera == i])) and prior.held == "nothing"
+            assumed[i, :n_own] = prior.bias is None or prior.bias.covariance is None
+            at = slice(i * n, i * n + n_own)
+            information[at, at] = _information(prior.bias, n_own, self.setup.params)
+        return BlockPrior(self.start().ravel(), information, free.ravel(), assumed.ravel())
+
+    def n_own(self, camera: int) -> int:
+        """Coefficients of one camera."""
+        bias = self.setup.priors[camera].bias
+        return len(bias.coefficients) if bias is not None else N_WEAK_BIAS
+
+    def basis(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> FloatArray:
+        return np.asarray(polynomial.polyvander(np.clip(depth_m, *self.range_m[camera]), self.n - 1), float)
+
+    def basis_slope(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> FloatArray:
+        low, high = self.range_m[camera]
+        powers = np.asarray(polynomial.polyvander(depth_m, self.n - 1), float)
+        slope = np.zeros_like(powers)
+        slope[..., 1:] = powers[..., :-1] * np.arange(1, self.n)
+        return np.where(((depth_m >= low) & (depth_m <= high))[..., None], slope, 0.0)
+
+
+def _information(bias: DepthBias | None, n: int, params: BundleParams) -> FloatArray:
+    if bias is not None and bias.covariance is not None:
+        return symmetric_inverse(bias.covariance)
+    sd = [params.bias_offset_sd_m, params.bias_scale_sd] + [params.bias_curvature_sd_per_m] * max(n - 2, 0)
+    return np.diag(1 / np.square(sd[:n]))

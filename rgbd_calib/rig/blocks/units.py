@@ -1,0 +1,55 @@
+"""The small unknowns that few rows depend on: the board's pose of each frame, or, where it is freed, its corners.
+
+A frame that only one camera sees is posed in that camera, so that it does not tie its intrinsics to its pose. The structure
+of frames that several cameras see may be freed: then each corner is a point of its own (the paper's eq. 4.5), in place of the
+board's pose; views of one camera alone keep the board, which alone makes them say something.
+
+T_parent_board <- Exp(xi) T_parent_board moves a point of the parent's frame by phi x p + rho.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.linear import BoolArray
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.rig.sight import Look
+
+
+@dataclass(frozen=True)
+class Boards:
+    """Poses of the boards, or corners of those that are freed; F frames, M corners of a board."""
+
+    T_parent_board: FloatArray
+    """(F, 4, 4)."""
+    freed: BoolArray
+    """(F,) bool: the frame's corners are points of their own; its board's pose stands still and tells the normal."""
+    corners_m: FloatArray
+    """(F, M, 3), the front's corners in the world, of freed frames; M = 0 where none is."""
+
+    @property
+    def size(self) -> int:
+        """D, unknowns of one frame: of the board's pose, of which a freed frame uses none, or of its corners."""
+        return max(6, 3 * self.corners_m.shape[1])
+
+    def moved(self, step: FloatArray) -> Boards:
+        """After a step (F, D)."""
+        F, M, _ = self.corners_m.shape
+        return Boards(
+            se3.retract(self.T_parent_board, np.where(self.freed[:, None], 0.0, step[:, :6])),
+            self.freed,
+            self.corners_m + step[:, : 3 * M].reshape(F, M, 3) * self.freed[:, None, None],
+        )
+
+    def derivative(self, look: Look) -> FloatArray:
+        """Of the predicted rows by the frame's unknowns, (n, N, r, D)."""
+        freed, obs = look.sight.freed, look.sight.obs
+        out = np.zeros((*look.predicted.shape, self.size))
+        out[..., :6] = np.where(freed[:, None, None, None], 0.0, look.by_motion)
+        view, n = np.nonzero(freed[:, None] & obs.has_pixel)
+        own = 3 * obs.corner[view, n, None] + np.arange(3)
+        out[view[:, None], n[:, None], :, own] = look.by_point[view, n].transpose(0, 2, 1)
+        return out

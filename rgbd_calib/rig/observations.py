@@ -1,0 +1,99 @@
+"""What was measured: every view of the board as padded arrays, and the walls of a bias recording as cells."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from rgbd_calib.geometry.linear import BoolArray, IntArray
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.types import Board, PlacedView
+
+
+@dataclass(frozen=True)
+class Observations:
+    """All views, padded to the same number of corners; V views, N corners, C cameras, F frames."""
+
+    camera: IntArray
+    """(V,)."""
+    frame: IntArray
+    """(V,) number of the board's pose."""
+    shared: BoolArray
+    """(V,) bool: the frame is seen by several cameras, and its board is posed in the world."""
+    back: IntArray
+    """(V,) 1 where the board's back is seen, else 0."""
+    corner: IntArray
+    """(V, N), number of the front's corner at each, or before it."""
+    pixels_px: FloatArray
+    """(V, N, 2)."""
+    depth_m: FloatArray
+    """(V, N), as measured; 1 where there is none."""
+    cell_ratio: FloatArray
+    """(V, N), depth pixels that a corner rests on, over the median of its camera; 1 where there are none."""
+    rounding_m: FloatArray
+    """(V,), deviation of a depth that is rounded to the camera's unit, unit / sqrt(12)."""
+    has_pixel: BoolArray
+    """(V, N) bool."""
+    has_depth: BoolArray
+    """(V, N) bool."""
+
+    @property
+    def n_frames(self) -> int:
+        return int(self.frame.max()) + 1
+
+    def keep(self, has_pixel: BoolArray, has_depth: BoolArray) -> Observations:
+        """The same views with other masks."""
+        return replace(self, has_pixel=has_pixel, has_depth=has_depth)
+
+    def only(self, views: slice | IntArray) -> Observations:
+        """Some of the views."""
+        return Observations(**{field.name: getattr(self, field.name)[views] for field in fields(self)})
+
+
+def observe(
+    views: Sequence[PlacedView], board: Board, units_m: Mapping[str, float]
+) -> tuple[Observations, tuple[str, ...]]:
+    """Views as padded arrays, and the frame of each board pose; `units_m` is the depth's unit by camera."""
+    cameras, units = list(units_m), np.array(list(units_m.values()))
+    frames = sorted({placed.view.frame for placed in views})
+    number = {name: k for k, name in enumerate(frames)}
+    n = max(len(placed.view.ids) for placed in views)
+    V = len(views)
+    pixels, depth, corner = np.zeros((V, n, 2)), np.ones((V, n)), np.zeros((V, n), int)
+    has_pixel, has_depth = np.zeros((V, n), bool), np.zeros((V, n), bool)
+    cells = np.full((V, n), np.nan)
+    for i, placed in enumerate(views):
+        m = len(placed.view.ids)
+        measured = np.isfinite(placed.view.depth_m)
+        pixels[i, :m], corner[i, :m] = placed.view.corners_px, placed.front_corner(board)
+        has_pixel[i, :m], has_depth[i, :m] = True, measured
+        depth[i, :m][measured] = placed.view.depth_m[measured]
+        cells[i, :m][measured] = np.maximum(placed.view.depth_pixels[measured], 1)
+    camera_of = np.array([cameras.index(placed.view.camera) for placed in views])
+    frame_of = np.array([number[placed.view.frame] for placed in views])
+    observations = Observations(
+        camera_of,
+        frame_of,
+        np.bincount(frame_of)[frame_of] > 1,
+        np.array([int(placed.back) for placed in views]),
+        corner,
+        pixels,
+        depth,
+        _over_median(cells, camera_of),
+        units[camera_of] / np.sqrt(12),
+        has_pixel,
+        has_depth,
+    )
+    return observations, tuple(frames)
+
+
+def _over_median(cells: FloatArray, camera_of: IntArray) -> FloatArray:
+    """Pixels of each cell over the median of its camera's, (V, N), 1 where there are none."""
+    out = np.ones_like(cells)
+    for c in np.unique(camera_of):
+        mine = (camera_of == c)[:, None] & np.isfinite(cells)
+        if mine.any():
+            out[mine] = cells[mine] / np.median(cells[mine])
+    return out

@@ -1,0 +1,69 @@
+"""The pose parts of every view's rows: what they say of the globals and units, and what the fit absorbed of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rgbd_calib.geometry.linear import Covariance, Rows
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.rig.blocks.block import Kind
+from rgbd_calib.rig.problem import Problem, State
+from rgbd_calib.rig.weights import N_DEPTH, N_PIXEL
+
+N_PARTS = N_PIXEL + N_DEPTH
+
+
+@dataclass(frozen=True)
+class PoseRows:
+    """V views, D unknowns of a unit, N_PARTS parts: pixels first."""
+
+    of_globals: FloatArray
+    """(V, parts, P), Q' J."""
+    of_units: FloatArray
+    """(V, parts, D)."""
+    residual: FloatArray
+    """(V, parts), Q' r."""
+
+    def carried(self, covariance: Covariance, problem: Problem) -> tuple[FloatArray, FloatArray]:
+        """Their products with the covariance: (V, parts, P) of the globals, and (V, parts, D) of each view's unit."""
+        cross = covariance.cross(problem.obs.frame)
+        of_units = covariance.of_units[problem.obs.frame]
+        with_globals = self.of_globals @ covariance.of_globals + self.of_units @ cross.transpose(0, 2, 1)
+        return with_globals, self.of_globals @ cross + self.of_units @ of_units
+
+
+def pose_rows(problem: Problem, state: State) -> PoseRows:
+    """At a state."""
+    V = len(problem.obs.camera)
+    out = np.zeros((V, N_PARTS, problem.n_globals)), np.zeros((V, N_PARTS, problem.unit_size)), np.zeros((V, N_PARTS))
+    for views, look, rows in problem.rows(state):
+        Q, at = part_of(problem, look.kind)
+        Q = Q[views].transpose(0, 2, 1)
+        for target, own in zip(out, through(rows, Q, problem.n_globals), strict=True):
+            target[views, at] = own
+    return PoseRows(*out)
+
+
+def part_of(problem: Problem, kind: Kind) -> tuple[FloatArray, slice]:
+    """Q (V, N r, d) of a kind of rows, and where its parts stand among all."""
+    if kind is Kind.PIXEL:
+        return problem.weights.Q_pixel, slice(0, N_PIXEL)
+    return problem.weights.Q_depth, slice(N_PIXEL, N_PARTS)
+
+
+def through(rows: Rows, Q: FloatArray, P: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Q' J (n, d, P), Q' J_unit (n, d, D) and Q' r (n, d) of rows, Q' (n, d, N r)."""
+    J, J_unit, r = rows.flat()
+    n, d, _ = Q.shape
+    of_globals = np.zeros((n, d, P))
+    of_globals[:, :, rows.columns] = Q @ J
+    s = rows.J_point.shape[-1]
+    if s:
+        N, per = rows.J_point.shape[1:3]
+        own = np.einsum("ndkr,nkrs->ndks", Q.reshape(n, d, N, per), rows.J_point).reshape(n, d, N * s)
+        np.add.at(
+            of_globals, (np.arange(n)[:, None, None], np.arange(d)[:, None], rows.point_columns.reshape(n, 1, -1)), own
+        )
+    return of_globals, Q @ J_unit, (Q @ r[..., None])[..., 0]

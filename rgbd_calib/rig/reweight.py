@@ -1,0 +1,159 @@
+"""The weights that the residuals give: variance components of pixels and depth, robust weights, pose parts of the views.
+
+Helmert's and Forstner's estimate of a variance from the residuals of its group: sigma^2 = sum r^2 / redundancy, with
+redundancy = residuals - tr(J Cov J'), what the fit absorbed. Groups: the pixels of each camera, off the pose part; the
+depth of each camera, off it; and the kinds of pose part of all views together (their ratio to the rest, at least 1): a
+finder that draws whole boards to one side shifts them, and does not turn them. How the depth's variance falls with the size
+of a corner's cell is one exponent for all cameras.
+
+Depth comes in whole units, and neighbouring pixels of a board round alike: averaging a cell's pixels lowers their noise, not
+the rounding. So unit^2 / 12 is added to a corner's variance, in the weight of its whole view; that tells near the camera,
+where the noise is a fraction of the unit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rgbd_calib.geometry.linear import Assembly, Covariance, IntArray
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.rig.blocks.block import Kind
+from rgbd_calib.rig.blocks.board_shape import nominal_corners_m
+from rgbd_calib.rig.observations import Observations
+from rgbd_calib.rig.pose_rows import N_PARTS, pose_rows
+from rgbd_calib.rig.problem import KINDS, Problem, State
+from rgbd_calib.rig.weights import (
+    DEPTH_PARTS,
+    N_PIXEL,
+    PIXEL_PARTS,
+    Weights,
+    huber,
+    in_order,
+    kinds_of,
+    orthonormal,
+    split,
+)
+
+MIN_CELL_SPREAD = 0.01
+"""Least variance of the logarithm of the cells' sizes that tells how noise falls with them."""
+MIN_REDUNDANCY = 10.0
+"""A group with less takes the variance of all cameras together."""
+
+
+def reweighted(problem: Problem, state: State, covariance: Covariance) -> Weights:
+    """The weights that the residuals at `state` give, by the covariance under the present ones."""
+    obs, old, n_cameras = problem.obs, problem.weights, len(problem.setup.cameras)
+    pixel, depth = problem.residuals(state)
+    w_pixel, w_depth = old.scales(obs)
+    r2, r3 = (pixel * w_pixel[..., None]).reshape(len(pixel), -1), depth * w_depth
+    in_squares = np.concatenate([split(r2, old.Q_pixel)[1], split(r3, old.Q_depth)[1]], axis=1).T ** 2  # (parts, V)
+    rows = pose_rows(problem, state)
+    carried = rows.carried(covariance, problem)
+    absorbed = np.sum(carried[0] * rows.of_globals, axis=2).T + np.sum(carried[1] * rows.of_units, axis=2).T
+    dims = np.concatenate([np.sum(Q**2, axis=1) for Q in (old.Q_pixel, old.Q_depth)], axis=1).T  # (parts, V)
+    parts = slice(0, N_PIXEL), slice(N_PIXEL, N_PARTS)
+    n3 = np.maximum(obs.has_depth.sum(axis=1), 1)
+    whole = 2 * np.sum(old.robust_pixel * obs.has_pixel, axis=1), np.sum(old.robust_depth * obs.has_depth, axis=1)
+    total = _absorbed(problem, state, covariance)
+    factors, ratios = [], []
+    for kind, r, rows_of_view, part, names in (
+        (Kind.PIXEL, r2, whole[0] - dims[parts[0]].sum(axis=0), parts[0], PIXEL_PARTS),
+        (Kind.DEPTH, r3, whole[1] * (1 - dims[parts[1]].sum(axis=0) / n3), parts[1], DEPTH_PARTS),
+    ):
+        of_view = np.sum(r**2, axis=1) - in_squares[part].sum(axis=0), rows_of_view, absorbed[part].sum(axis=0)
+        squares, count, in_pose = (np.asarray(np.bincount(obs.camera, x, minlength=n_cameras), float) for x in of_view)
+        factor = _by_camera(squares, count - (total[kind] - in_pose))
+        factors.append(factor)
+        ratios.append(_ratios(in_squares[part] / factor[obs.camera], dims[part] - absorbed[part], names))
+    new = replace(
+        old,
+        sigma_2d_px=old.sigma_2d_px * np.sqrt(factors[0]),
+        k_depth=old.k_depth * np.sqrt(factors[1]),
+        ratio_pixel=ratios[0],
+        ratio_depth=ratios[1],
+    )
+    return _robust(problem, state, new, pixel, depth)
+
+
+def _absorbed(problem: Problem, state: State, covariance: Covariance) -> dict[Kind, FloatArray]:
+    """tr(J Cov J') of each camera's rows (C,), by kind."""
+    n_cameras = len(problem.setup.cameras)
+    out = {kind: np.zeros(n_cameras) for kind in KINDS}
+    for c in range(n_cameras):
+        parts = {kind: Assembly(problem.pattern) for kind in KINDS}
+        for _, look, rows in problem.rows(state, np.flatnonzero(problem.obs.camera == c)):
+            parts[look.kind].add(rows)
+        for kind, own in parts.items():
+            out[kind][c] = covariance.trace(own.equations())
+    return out
+
+
+def _robust(problem: Problem, state: State, new: Weights, pixel: FloatArray, depth: FloatArray) -> Weights:
+    """Pose parts, cell exponent and robust weights under the new sigmas."""
+    obs, limit = problem.obs, problem.setup.params.huber_sigmas
+    sigma3 = new.depth_sigma_m(obs)
+    Q_pixel, Q_depth = pose_parts(problem, state, sigma3)
+    V = len(obs.camera)
+    off2 = split((pixel / new.sigma_2d_px[obs.camera, None, None]).reshape(V, -1), Q_pixel)[0].reshape(V, -1, 2)
+    off3 = split(depth / sigma3, Q_depth)[0]
+    exponent = float(np.clip(new.cell_exponent + _cell_slope(off3, obs), 0.0, 1.0))
+    n3 = np.maximum(obs.has_depth.sum(axis=1), 1)
+    noise3_m2 = np.mean(new.ratio_depth**2) * np.sum(sigma3**2 * obs.has_depth, axis=1) / n3
+    rounding = noise3_m2 / np.maximum(noise3_m2 + obs.rounding_m**2, 1e-30)
+    return replace(
+        new,
+        cell_exponent=exponent,
+        robust_pixel=huber(off2, limit),
+        robust_depth=huber(off3[..., None], limit) * rounding[:, None],
+        Q_pixel=Q_pixel,
+        Q_depth=Q_depth,
+    )
+
+
+def pose_parts(
+    problem: Problem, state: State, depth_sigma_m: FloatArray, obs: Observations | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Orthonormal bases of what a change of the board's pose does to a view's pixels (V, 2 N, 6), its shifts along the
+    camera's axes first, and to its depth (V, N, 3), its offset first, in sigmas."""
+    obs = problem.obs if obs is None else obs
+    V, N = obs.has_pixel.shape
+    J2, first = np.zeros((V, 2 * N, 6)), np.zeros((V, 2 * N, 3))
+    for views, sight in problem.sights(state, None, obs):
+        look = problem.look_at_pixels(state, sight)
+        own = (look.by_motion * sight.obs.has_pixel[:, :, None, None]).reshape(len(views), 2 * N, 6)
+        J2[views], first[views] = own, own[..., 3:] @ sight.R_color_parent.transpose(0, 2, 1)
+    on_board = nominal_corners_m(problem.setup.board)[obs.back[:, None], obs.corner][..., :2]
+    flat = np.concatenate([np.ones((V, N, 1)), on_board], axis=-1) * (obs.has_depth / depth_sigma_m)[..., None]
+    return in_order(orthonormal(J2), first), in_order(orthonormal(flat), flat)
+
+
+def _cell_slope(r_sigma: FloatArray, obs: Observations) -> float:
+    """How much faster the variance falls with a cell's size than its weight says, as an exponent.
+
+    Slope of log r^2 over log size, about each camera's own means; the logarithm keeps outliers from counting.
+    """
+    used = obs.has_depth & (np.abs(r_sigma) > 1e-9)
+    x, y = np.log(obs.cell_ratio[used]), np.log(r_sigma[used] ** 2)
+    camera = np.broadcast_to(obs.camera[:, None], used.shape)[used]
+    count = np.maximum(np.bincount(camera), 1)
+    x, y = (v - (np.bincount(camera, v) / count)[camera] for v in (x, y))
+    spread = float(x @ x)
+    return -float(x @ y) / spread if spread > MIN_CELL_SPREAD * len(x) else 0.0
+
+
+def _by_camera(squares: FloatArray, redundancy: FloatArray) -> FloatArray:
+    """Variance factor of each camera (n,); the pooled one where a camera has too little redundancy."""
+    pooled = squares.sum() / redundancy.sum() if redundancy.sum() > MIN_REDUNDANCY else 1.0
+    factor = np.where(redundancy > MIN_REDUNDANCY, squares / np.maximum(redundancy, 1e-9), pooled)
+    return np.maximum(factor, 1e-12)
+
+
+def _ratios(squares: FloatArray, redundancy: FloatArray, kinds: IntArray) -> FloatArray:
+    """The pose part's standard deviation over the rest's, (d,), of squares (d, V), at least 1; that of all where a kind has
+    too little redundancy."""
+    total, left = kinds_of(kinds, squares), kinds_of(kinds, redundancy)
+    pooled = total.sum() / left.sum() if left.sum() > MIN_REDUNDANCY else 1.0
+    own = np.where(left > MIN_REDUNDANCY, total / np.maximum(left, 1e-9), pooled)
+    return np.asarray(np.sqrt(np.maximum(own, 1.0))[kinds])

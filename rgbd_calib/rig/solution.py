@@ -1,0 +1,154 @@
+"""What the bundle returns: the problem at its minimum, the covariance, and what was dropped on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.geometry.linear import Covariance, IntArray
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.rig.blocks import DepthBiasBlock
+from rgbd_calib.rig.common_errors import CommonErrors
+from rgbd_calib.rig.observability import Observability
+from rgbd_calib.rig.problem import Problem, State
+from rgbd_calib.rig.setup import CameraPrior
+from rgbd_calib.types import DepthBias, PlacedView
+
+
+@dataclass(frozen=True)
+class Round:
+    """Weights after one round."""
+
+    cost: float
+    sigma_2d_px: tuple[float, ...]
+    k_depth: tuple[float, ...]
+    cell_exponent: float
+    ratio_pixel: float
+    """RMS over the kinds of pose part."""
+    ratio_depth: float
+    dropped_views: int
+
+
+@dataclass(frozen=True)
+class Course:
+    """What went in, and how the solution was reached."""
+
+    views: tuple[PlacedView, ...]
+    """All views, in the order of the observations."""
+    frames: tuple[str, ...]
+    """Of the boards' poses."""
+    dropped: Mapping[tuple[str, str], str]
+    """Why, by (camera, frame): the view, or its depth, was left out."""
+    dropped_depth_corners: int
+    history: tuple[Round, ...]
+    iterations: int
+    converged: bool
+    message: str
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The calibrated rig; cameras in the order of `cameras`."""
+
+    problem: Problem
+    """With the weights, masks and priors at the end."""
+    state: State
+    cost: float
+    plain: Covariance
+    """As if all residuals were independent."""
+    covariance: FloatArray
+    """(P, P) of the globals, what views and cells share counted."""
+    common: CommonErrors
+    observability: Observability
+    course: Course
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        return self.problem.setup.cameras
+
+    @property
+    def has_depth(self) -> tuple[bool, ...]:
+        """Cameras with depth on the board."""
+        obs = self.problem.setup.obs
+        return tuple(bool(np.any(obs.has_depth[obs.camera == i])) for i in range(len(self.cameras)))
+
+    def prior_of(self, camera: str) -> CameraPrior:
+        return self.problem.setup.priors[self.cameras.index(camera)]
+
+    def index(self, block: str, camera: str) -> IntArray:
+        """Where a camera's parameters of a block stand in the covariance."""
+        return self.problem.index(block, self.cameras.index(camera))
+
+    @cached_property
+    def residuals(self) -> tuple[FloatArray, FloatArray]:
+        """Predicted less measured, pixels (V, N, 2) and depth (V, N), metres; zero where nothing was used."""
+        return self.problem.residuals(self.state)
+
+    def T_world_color(self, camera: str) -> FloatArray:
+        """(4, 4)."""
+        return np.asarray(self.state.T_world_color[self.cameras.index(camera)])
+
+    def pose_covariance(self, camera: str) -> FloatArray:
+        """(6, 6) of the left perturbation (rad, m) of T_world_color in the world frame."""
+        at = self.index("pose", camera)
+        return self.covariance[np.ix_(at, at)]
+
+    def intrinsics(self, camera: str) -> Intrinsics:
+        own = self.prior_of(camera).intrinsics
+        values = self.state.intrinsics[self.cameras.index(camera)]
+        return own.with_vector(values[: len(own.vector)])
+
+    def depth_bias(self, camera: str) -> DepthBias | None:
+        """The depth bias of a camera with depth on the board; its RMS is what depth is off by after the correction."""
+        i, prior = self.cameras.index(camera), self.prior_of(camera).bias
+        block = self.problem.block("depth bias")
+        assert isinstance(block, DepthBiasBlock)
+        if not self.has_depth[i]:
+            return prior
+        n = block.n_own(i)
+        at = self.index("depth bias", camera)[:n]
+        low, high = (float(z) for z in block.range_m[i])
+        coefficients = tuple(float(c) for c in self.state.values["depth bias"][i, :n])
+        return DepthBias(coefficients, low, high, self.depth_rms_m(camera), self.covariance[np.ix_(at, at)])
+
+    def depth_rms_m(self, camera: str) -> float:
+        """RMS of the depth residuals that were used, metres."""
+        obs = self.problem.obs
+        mine = obs.has_depth & (obs.camera == self.cameras.index(camera))[:, None]
+        return float(np.sqrt(np.mean(self.residuals[1][mine] ** 2))) if mine.any() else 0.0
+
+    def board_poses(self) -> dict[str, FloatArray]:
+        """T_world_board (4, 4) of the frames that several cameras see."""
+        obs = self.problem.obs
+        shared = {int(f) for f, s in zip(obs.frame, obs.shared, strict=True) if s}
+        return {frame: self.state.boards.T_parent_board[f] for f, frame in enumerate(self.course.frames) if f in shared}
+
+    def camera_statistics(self, camera: str) -> dict[str, Any]:
+        """Plain numbers of one camera, for the rig file."""
+        i, obs, weights = self.cameras.index(camera), self.problem.obs, self.problem.weights
+        mine = obs.camera == i
+        pixels, depths = obs.has_pixel & mine[:, None], obs.has_depth & mine[:, None]
+        n = len(self.prior_of(camera).intrinsics.vector)
+        sd = np.sqrt(np.diag(self.covariance)[self.index("intrinsics", camera)])[:n]
+        out: dict[str, Any] = {
+            "intrinsics_sd": sd,
+            "sigma_2d_px": weights.sigma_2d_px[i],
+            "rms_px": float(np.sqrt(np.mean(self.residuals[0][pixels] ** 2))) if pixels.any() else None,
+            "views": int(pixels.any(axis=1).sum()),
+            "corners": int(pixels.sum()),
+            "corners_with_depth": int(depths.sum()),
+        }
+        if depths.any():
+            k = float(weights.k_depth[i])
+            out |= {
+                "sigma_3d_m": k * float(np.mean(obs.depth_m[depths] ** 2)),
+                "sigma_3d_model": "along the optical axis, k z^2, mean over a corner's cell; sigma_3d_m at the mean z^2",
+                "depth_k_per_m": k,
+                "depth_rms_m": self.depth_rms_m(camera),
+            }
+        return out

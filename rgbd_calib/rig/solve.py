@@ -1,0 +1,91 @@
+"""Levenberg-Marquardt on a problem, the units eliminated (:mod:`rgbd_calib.geometry.linear`), and its covariances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from rgbd_calib.errors import CalibrationError
+from rgbd_calib.geometry.linear import Covariance
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.rig.pose_rows import pose_rows
+from rgbd_calib.rig.problem import Problem, State
+
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING, FACTOR = 1e-4, 1e-12, 1e10, 8.0
+
+
+class Status(Enum):
+    CONVERGED = "the cost and the step no longer change"
+    MAX_ITERATIONS = "the largest number of iterations was reached before the cost settled"
+
+
+@dataclass(frozen=True)
+class Minimum:
+    state: State
+    cost: float
+    """Half the weighted sum of squares, priors included."""
+    iterations: int
+    status: Status
+
+
+def minimize(problem: Problem, state: State, max_iterations: int, tolerance: float) -> Minimum:
+    """The state of least cost for fixed weights.
+
+    Raises
+    ------
+    CalibrationError
+        The equations are singular at the start.
+    """
+    best, damping = problem.cost(state), FIRST_DAMPING
+    for iteration in range(1, max_iterations + 1):
+        equations = problem.equations(state)
+        while True:
+            step = equations.step(problem.free, damping)
+            trial = problem.moved(state, *step) if step is not None else state
+            now = problem.cost(trial) if step is not None else np.inf
+            if np.isfinite(now) and now <= best and problem.in_front(trial):
+                break
+            damping *= FACTOR
+            if damping > MOST_DAMPING:
+                if step is None:
+                    raise CalibrationError(
+                        "the bundle's equations are singular. Are all cameras joined by common views, and is any board pose "
+                        "seen whole? Film more common views"
+                    )
+                return Minimum(state, best, iteration, Status.CONVERGED)
+        gain = best - now
+        state, best, damping = trial, now, max(damping / FACTOR, LEAST_DAMPING)
+        if gain <= tolerance * best:
+            return Minimum(state, best, iteration, Status.CONVERGED)
+    return Minimum(state, best, max_iterations, Status.MAX_ITERATIONS)
+
+
+def covariance(problem: Problem, state: State) -> Covariance:
+    """Of all unknowns at a minimum, what is held at its prior counted with its uncertainty.
+
+    Raises
+    ------
+    CalibrationError
+        The equations are singular.
+    """
+    try:
+        return problem.equations(state).covariance(problem.prior.free)
+    except np.linalg.LinAlgError:
+        raise CalibrationError(
+            "the recording does not determine all unknowns of the bundle (singular equations). Film more common views"
+        ) from None
+
+
+def sandwich_covariance(problem: Problem, state: State, plain: Covariance) -> FloatArray:
+    """Covariance (P, P) of the globals where the pose parts are noisier than the rest.
+
+    The estimate solves A step = -g with one weight for both parts, while g has the covariance A + sum_i e_i q_i q_i', e_i the
+    excess of the variance of pose part i and q_i its row: Cov = A^-1 + sum_i e_i (A^-1 q_i)(A^-1 q_i)' (H. White,
+    Econometrica 48(4), 1980).
+    """
+    carried = pose_rows(problem, state).carried(plain, problem)[0]
+    more = carried * np.sqrt(np.maximum(problem.weights.excess, 0.0))[:, None]
+    flat = more.reshape(-1, more.shape[-1])
+    return np.asarray(plain.of_globals + flat.T @ flat)

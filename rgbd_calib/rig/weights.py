@@ -1,0 +1,112 @@
+"""Weights of the observations: their sigmas, robust weights on top, and the split of a view's residuals into two parts.
+
+Errors inside one view are not independent: a board that moved between two exposures, or a depth sensor's error that is
+smooth over the image, shift all its corners together. So the residuals of a view are split into what a change of the
+board's pose in this view alone would explain (the columns of Q, orthonormal) and the rest. The estimate weighs both
+alike; the covariance takes the first part's own variances, `ratio`^2 times the rest's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rgbd_calib.geometry.linear import IntArray
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.rig.observations import Observations
+from rgbd_calib.rig.setup import BundleParams
+
+PIXEL_PARTS, DEPTH_PARTS = np.array([0, 1, 2, 3, 3, 3]), np.array([0, 1, 1])
+"""What is alike in the pose part of a view: the board's shift along the camera's axes, each by itself, and its turns, in
+the pixels; its offset, and its tilts, in the depth."""
+N_PIXEL, N_DEPTH = len(PIXEL_PARTS), len(DEPTH_PARTS)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """V views, N corners, C cameras."""
+
+    sigma_2d_px: FloatArray
+    """(C,)."""
+    k_depth: FloatArray
+    """(C,), 1/m: sigma_z = k z^2."""
+    cell_exponent: float
+    """Depth of a corner has the deviation k z^2 (cell_ratio)^(-cell_exponent / 2): 1 for white noise in its pixels, 0
+    where they err together."""
+    ratio_pixel: FloatArray
+    """(6,), in the order of the columns of Q; equal within PIXEL_PARTS."""
+    ratio_depth: FloatArray
+    """(3,), equal within DEPTH_PARTS."""
+    robust_pixel: FloatArray
+    """(V, N), 0 ... 1."""
+    robust_depth: FloatArray
+    """(V, N), and less in a view so near that its depth is rounded more than noisy."""
+    Q_pixel: FloatArray
+    """(V, 2 N, 6): along the camera's axes x, y, z, then turns; less than orthonormal where a view has less."""
+    Q_depth: FloatArray
+    """(V, N, 3): offset, then tilts."""
+
+    @classmethod
+    def first(cls, obs: Observations, n_cameras: int, params: BundleParams) -> Weights:
+        """Equal weights, no pose part."""
+        V, N = obs.has_pixel.shape
+        sigma, k = np.full(n_cameras, params.sigma_2d_px), np.full(n_cameras, params.k_depth_per_m)
+        one, ratios = np.ones((V, N)), (np.ones(N_PIXEL), np.ones(N_DEPTH))
+        return cls(sigma, k, 0.0, *ratios, one, one, np.zeros((V, 2 * N, N_PIXEL)), np.zeros((V, N, N_DEPTH)))
+
+    @property
+    def excess(self) -> FloatArray:
+        """(9,), by how much the variance of each pose part exceeds that of the rest, pixels first."""
+        return np.asarray(np.concatenate([self.ratio_pixel, self.ratio_depth]) ** 2 - 1)
+
+    def depth_sigma_m(self, obs: Observations) -> FloatArray:
+        """(V, N), metres, of a corner's depth."""
+        return np.asarray(self.k_depth[obs.camera, None] * obs.cell_ratio ** (-self.cell_exponent / 2) * obs.depth_m**2)
+
+    def scales(self, obs: Observations) -> tuple[FloatArray, FloatArray]:
+        """Factors (V, N) of residuals in px and metres: 1 / sigma, times the root of the robust weight, zero where unseen."""
+        w_pixel = np.sqrt(self.robust_pixel) * obs.has_pixel / self.sigma_2d_px[obs.camera, None]
+        return w_pixel, np.sqrt(self.robust_depth) * obs.has_depth / self.depth_sigma_m(obs)
+
+    def change(self, other: Weights) -> float:
+        """Largest relative difference of any sigma or ratio."""
+        if abs(self.cell_exponent - other.cell_exponent) > 0.1:
+            return 1.0
+        names = "sigma_2d_px", "k_depth", "ratio_pixel", "ratio_depth"
+        return max(float(np.max(np.abs(np.log(getattr(self, n) / getattr(other, n))))) for n in names)
+
+
+def split(r: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Residuals (V, n) off the pose part (V, n), and that part in Q's coordinates (V, d)."""
+    pose = np.einsum("vnd,vn->vd", Q, r)
+    return r - np.einsum("vnd,vd->vn", Q, pose), pose
+
+
+def huber(r_sigma: FloatArray, limit: float) -> FloatArray:
+    """Weights (V, N) of residuals (V, N, m) in sigmas for each coordinate."""
+    norm = np.linalg.norm(r_sigma, axis=-1) / np.sqrt(r_sigma.shape[-1])
+    return np.minimum(1.0, limit / np.maximum(norm, 1e-12))
+
+
+def in_order(Q: FloatArray, first: FloatArray) -> FloatArray:
+    """The same spaces with bases that begin with the columns of `first`, (V, n, k), one after the other."""
+    turned, _ = np.linalg.qr(Q.transpose(0, 2, 1) @ first, mode="complete")
+    return Q @ turned
+
+
+def orthonormal(A: FloatArray) -> FloatArray:
+    """Orthonormal columns that span those of A (V, n, d); zero columns beyond its rank.
+
+    From the eigenvectors of A'A: ten times faster than the singular values of A, and of the few columns of a pose, that
+    are scaled to one length, good to 1e-8.
+    """
+    A = A / np.maximum(np.linalg.norm(A, axis=1, keepdims=True), 1e-300)
+    values, vectors = np.linalg.eigh(A.transpose(0, 2, 1) @ A)
+    kept = values > 1e-10 * np.maximum(values[:, -1:], 1e-300)
+    return A @ (vectors * np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0)[:, None, :])
+
+
+def kinds_of(parts: IntArray, values: FloatArray) -> FloatArray:
+    """Sums (kinds,) of values (d, ...) of pose parts of one kind."""
+    return np.asarray(np.bincount(parts, values.reshape(len(parts), -1).sum(axis=1)), float)

@@ -1,0 +1,171 @@
+"""Frames taken away from a solution, without solving again, and what they say of the solution without them.
+
+Taking frames away works on the same equations. With the boards eliminated, each frame f adds S_f to the reduced normal
+equations S and g_f to their gradient, so that without the frames F
+
+    x_(-F) = x - (S - S_F)^-1 (g - g_F)
+
+which is the deletion formula of linear regression for groups (Cook, Weisberg) and one Gauss-Newton step of a real refit.
+At x_(-F) the frames F have the gradient h = g_F + S_F (x_(-F) - x). If all frames are of one rig, its variance is
+B_F + S_F Cov_(-F) S_F, B_F the frames' own information with the excess, and h' Var(h)^+ h ~ chi2(rank).
+
+References
+----------
+R. D. Cook, S. Weisberg, Residuals and Influence in Regression, Chapman and Hall, 1982, chapters 2 and 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from rgbd_calib.geometry.linear import BoolArray, IntArray, symmetric_inverse
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.trust.self_check.equations import ALONE, Equations
+from rgbd_calib.trust.self_check.findings import Finding, SelfCheckParams
+
+
+@dataclass(frozen=True)
+class Deletion:
+    """The solution without some frames, and how well those frames agree with it; E errors that were taken into the model."""
+
+    step: FloatArray
+    """(P + E,), x_(-F) - x."""
+    covariance: FloatArray
+    """(P + E, P + E), of x_(-F)."""
+    statistic: float
+    dof: int
+    p: float
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Part of the frames against the solution without them."""
+
+    first: str
+    last: str
+    chi2: float
+    dof: int
+    p: float
+    moves_mm: float
+    """RMS by which cameras put the board apart in them, beyond the noise."""
+
+
+def delete(eq: Equations, gone: BoolArray) -> Deletion:
+    """Take the views `gone` (V,) away, all of their frames."""
+    free = np.concatenate([eq.free, np.ones(sum(len(t.columns) for t in eq.taken), bool)])
+    S, g = _reduced(eq, np.ones(len(gone), bool))
+    S_gone, g_gone = _reduced(eq, gone)
+    held = np.diag(1.0 - free)
+    left = symmetric_inverse((S - S_gone) * np.outer(free, free) + held) * np.outer(free, free)
+    step = -left @ ((g - g_gone) * free)
+    low = np.concatenate([eq.reduced_low, *(_low(eq, k) for k in range(len(eq.taken)))], axis=2) * free
+
+    def excess(views: BoolArray) -> FloatArray:
+        return np.asarray(np.einsum("d,vdp,vdq->pq", eq.excess, low[views], low[views], optimize=True))
+
+    covariance = left + left @ excess(~gone) @ left
+    S_gone, g_gone = S_gone * np.outer(free, free), g_gone * free
+    h = g_gone + S_gone @ step
+    variance = S_gone + excess(gone) + S_gone @ covariance @ S_gone
+    scale = 1 / np.sqrt(np.maximum(np.diag(variance), 1e-300))
+    values, vectors = np.linalg.eigh(variance * np.outer(scale, scale))
+    kept = values > 1e-8 * values[-1]
+    statistic = float(np.sum((vectors[:, kept].T @ (scale * h)) ** 2 / values[kept]))
+    dof = int(kept.sum())
+    return Deletion(step, covariance, statistic, dof, float(chi2.sf(statistic, dof)))
+
+
+def _low(eq: Equations, k: int) -> FloatArray:
+    """(V, parts, q) of an error that was taken, the units eliminated."""
+    taken, own = eq.taken[k], eq.rows
+    on_unit = eq.base.V_inv[own.units] @ taken.units[own.units]
+    return np.where(taken.where[:, None, None], own.low[:, :, taken.columns], 0.0) - own.low_unit @ on_unit
+
+
+def _reduced(eq: Equations, views: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Reduced equations and gradient of views (V,) bool, whole frames, with the errors that were taken; priors with all."""
+    whole, own = bool(views.all()), eq.rows
+    part = eq.base if whole else eq.part(np.flatnonzero(views)).regular()
+    S, g = part.reduced, part.reduced_gradient
+    if not eq.taken:
+        return S, g
+    crosses, units, gradients = [], [], []
+    for taken in eq.taken:
+        mine = np.flatnonzero(taken.where & views)
+        cross = np.zeros((len(g), len(taken.columns)))
+        np.add.at(cross, own.index[mine], own.by_globals[mine][:, taken.columns].transpose(0, 2, 1))
+        of_units = np.zeros_like(taken.units)
+        np.add.at(of_units, own.units[mine], own.by_unit[mine][:, taken.columns].transpose(0, 2, 1))
+        crosses.append(cross)
+        units.append(of_units)
+        gradients.append(own.score[mine][:, taken.columns].sum(axis=0))
+    cross, of_units, gradient = (
+        np.concatenate(crosses, axis=1),
+        np.concatenate(units, axis=2),
+        np.concatenate(gradients),
+    )
+    for WV, members, at in zip(part.WV, part.pattern.units, part.pattern.columns, strict=True):
+        cross[at] -= np.einsum("npd,ndq->pq", WV, of_units[members], optimize=True)
+    grams = [
+        [own.gram[a.where & b.where & views][:, a.columns[:, None], b.columns].sum(axis=0) for b in eq.taken]
+        for a in eq.taken
+    ]
+    solved = part.V_inv @ of_units
+    corner = np.block(grams) - np.einsum("fdp,fdq->pq", of_units, solved, optimize=True)
+    gradient = gradient - np.einsum("fdq,fd->q", solved, part.unit_gradient)
+    return np.block([[S, cross], [cross.T, corner]]), np.concatenate([g, gradient])
+
+
+def hold_out(eq: Equations, params: SelfCheckParams) -> list[HeldOut]:
+    """Parts in time held out in turn: the solution without them against what they say."""
+    frame_time = np.full(eq.base.pattern.n_units, ALONE)
+    frame_time[eq.rows.units] = np.where(eq.shared, eq.time_index, ALONE)
+    present = np.unique(frame_time[frame_time != ALONE])
+    whole = delete(eq, np.zeros(len(eq.camera), bool)).covariance
+    out = []
+    for part in np.array_split(present, params.folds):
+        if len(part) < params.min_side or len(present) - len(part) < params.min_side:
+            continue
+        gone = np.isin(frame_time[eq.rows.units], part)
+        held = delete(eq, gone)
+        moved_m = _moved_by(eq, held.step, held.covariance - whole, gone)
+        first, last = eq.frames[part[0]], eq.frames[part[-1]]
+        out.append(HeldOut(first, last, held.statistic, held.dof, held.p, 1e3 * moved_m))
+    return out
+
+
+def held_out_findings(
+    rows: Sequence[HeldOut], params: SelfCheckParams, n_tests: int, stated_mm: float
+) -> list[Finding]:
+    """What is said of parts that do not fit."""
+    limit = params.significance / (n_tests + params.folds)
+    return [
+        Finding(
+            "held out",
+            "distrust" if row.moves_mm > max(params.distrust_mm, stated_mm) else "caution",
+            (),
+            f"Calibrated without the frames {row.first} to {row.last}, the cameras put the board in them {row.moves_mm:.1f} mm "
+            "apart, beyond what the covariance allows: these frames and the others are not of one rig",
+            "Calibrate each part of the recording by itself and compare; record again where they differ",
+            round(row.moves_mm, 3),
+            row.p,
+        )
+        for row in rows
+        if row.p < limit and row.moves_mm > max(params.caution_mm, stated_mm)
+    ]
+
+
+def _moved_by(eq: Equations, step: FloatArray, covariance: FloatArray, gone: BoolArray) -> float:
+    """RMS of what a step of the globals moves the held-out corners by, beyond its own noise, metres.
+
+    Each frame's board follows as well as it can: what is left is how far cameras then put one board apart.
+    """
+    P = len(eq.free)
+    views: IntArray = np.flatnonzero(gone)
+    left = eq.part_in_metres(views).regular().reduced * np.outer(eq.free, eq.free)
+    total = float(step[:P] @ left @ step[:P] - np.sum(left * covariance[:P, :P]))
+    return float(np.sqrt(max(total, 0.0) / max(int(eq.corners[gone].sum()), 1)))

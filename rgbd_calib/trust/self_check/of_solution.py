@@ -1,0 +1,155 @@
+"""The equations of a solved bundle, with columns for the errors that its model does not have."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rgbd_calib.geometry.linear import IntArray, NormalEquations, assemble
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.rig.blocks import HELD, Block
+from rgbd_calib.rig.pose_rows import N_PARTS, part_of, through
+from rgbd_calib.rig.problem import KINDS, Problem, State
+from rgbd_calib.rig.solution import Solution
+from rgbd_calib.rig.weights import DEPTH_PARTS, PIXEL_PARTS
+from rgbd_calib.trust.self_check.equations import ALONE, Equations, ViewRows
+
+MAX_VIEWS = 800
+"""Of more views, every second, third, ... frame is checked: the equations of 800 take some 100 MB."""
+GROUPS = np.concatenate([PIXEL_PARTS, PIXEL_PARTS.max() + 1 + DEPTH_PARTS])
+"""What is alike in the pose part of a view, in the pixels and in the depth."""
+
+
+def held_blocks(problem: Problem) -> tuple[Block, ...]:
+    """What the problem holds at zero."""
+    return tuple(block(problem.setup) for block in HELD)
+
+
+def equations_of(solution: Solution, held: Sequence[Block], frames: Sequence[str]) -> Equations:
+    """Equations at the solution; `frames` are the recording's in order of time, others are of a camera alone.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        They are singular.
+    """
+    problem, state = solution.problem, solution.state
+    views = _thinned(problem)
+    obs = problem.obs.only(views)
+    tested = [*(b for b in problem.blocks if b.scope.value == "camera"), *held]
+    stops = np.cumsum([b.n for b in tested])
+    columns = {b.name: slice(int(s) - b.n, int(s)) for b, s in zip(tested, stops, strict=True)}
+    metres = _metres(problem, state)
+    gradient = problem.prior.information @ (problem.vector(state) - problem.prior.mean)
+    whole = len(views) == int(problem.obs.has_pixel.any(axis=1).sum())
+    base = problem.data_equations(state, None if whole else views).regular().plus(problem.prior.information, gradient)
+    at = {name: k for k, name in enumerate(frames)}
+    of_frame = np.array([at.get(name, ALONE) for name in solution.course.frames])
+    distance = np.zeros(len(problem.obs.camera))
+    for some, sight in problem.sights(state, views):
+        seen = sight.obs.has_pixel
+        distance[some] = np.where(seen, sight.p_color[..., 2], 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+
+    def part(some: IntArray) -> NormalEquations:
+        return problem.data_equations(state, views[some])
+
+    def part_in_metres(some: IntArray) -> NormalEquations:
+        rows = problem.rows(state, views[some], metres)
+        return assemble(problem.pattern, (own for _, _, own in rows))
+
+    eq = Equations(
+        solution.cameras,
+        obs.camera,
+        of_frame[obs.frame],
+        obs.shared,
+        tuple(frames),
+        columns,
+        _view_rows(problem, state, tested, columns, views, metres),
+        base.covariance(problem.prior.free),
+        problem.prior.information,
+        gradient,
+        problem.prior.free,
+        obs.has_pixel.sum(axis=1),
+        distance[views],
+        GROUPS,
+        np.zeros(len(GROUPS)),
+        part,
+        part_in_metres,
+    )
+    return eq.weighed()
+
+
+def _thinned(problem: Problem) -> IntArray:
+    """Views with pixels, of every frame or of every n-th."""
+    obs = problem.obs
+    views = np.flatnonzero(obs.has_pixel.any(axis=1))
+    every = -(-len(views) // MAX_VIEWS)
+    if every == 1:
+        return views
+    shared = np.unique(obs.frame[views][obs.shared[views]])[::every]
+    alone = np.unique(obs.frame[views][~obs.shared[views]])[::every]
+    return views[np.isin(obs.frame[views], np.concatenate([shared, alone]))]
+
+
+def _metres(problem: Problem, state: State) -> tuple[FloatArray, FloatArray]:
+    """Factors (V, N) that make of rows in px and metres such in metres at the board."""
+    out = np.zeros(problem.obs.depth_m.shape)
+    for views, sight in problem.sights(state):
+        out[views] = sight.p_color[..., 2] / state.intrinsics[sight.camera, 0]
+    return out * problem.obs.has_pixel, problem.obs.has_depth.astype(float)
+
+
+def _view_rows(
+    problem: Problem,
+    state: State,
+    tested: Sequence[Block],
+    columns: dict[str, slice],
+    views: IntArray,
+    metres: tuple[FloatArray, FloatArray],
+) -> ViewRows:
+    obs, scales = problem.obs, problem.weights.scales(problem.obs)
+    place = np.full(len(obs.camera), -1)
+    place[views] = np.arange(len(views))
+    V, H, P, D = len(views), sum(b.n for b in tested), problem.n_globals, problem.unit_size
+    gram, size, score = np.zeros((V, H, H)), np.zeros((V, H, H)), np.zeros((V, H))
+    by_globals: list[FloatArray] = [np.zeros(0)] * V
+    index: list[IntArray] = [np.zeros(0, int)] * V
+    by_unit, low = np.zeros((V, H, D)), np.zeros((V, N_PARTS, H))
+    low_globals, low_unit, low_residual = np.zeros((V, N_PARTS, P)), np.zeros((V, N_PARTS, D)), np.zeros((V, N_PARTS))
+    for some, look, rows in problem.rows(state, views):
+        own, n, kind = place[some], len(some), look.kind
+        A = np.zeros((*look.predicted.shape, H))
+        for block in tested:
+            if kind in block.kinds:
+                A[..., columns[block.name]] = block.derivative(look)
+        in_metres = (A * metres[KINDS.index(kind)][some][..., None, None]).reshape(n, -1, H)
+        size[own] += in_metres.transpose(0, 2, 1) @ in_metres
+        A = (A * scales[KINDS.index(kind)][some][..., None, None]).reshape(n, -1, H)
+        J, J_unit, r = rows.flat()
+        gram[own] += A.transpose(0, 2, 1) @ A
+        score[own] += (r[:, None] @ A)[:, 0]
+        by_unit[own] += A.transpose(0, 2, 1) @ J_unit
+        Q, at = part_of(problem, kind)
+        Q = Q[some].transpose(0, 2, 1)
+        low[own, at] = Q @ A
+        low_globals[own, at], low_unit[own, at], low_residual[own, at] = through(rows, Q, P)
+        dense = A.transpose(0, 2, 1) @ J
+        N, per, s = rows.J_point.shape[1:]
+        points = np.einsum("nirh,nirs->nhis", A.reshape(n, N, per, H), rows.J_point).reshape(n, H, N * s)
+        for k, v in enumerate(own):
+            by_globals[v] = np.concatenate([by_globals[v].reshape(H, -1), dense[k], points[k]], axis=1)
+            index[v] = np.concatenate([index[v], rows.columns, rows.point_columns[k].ravel()])
+    return ViewRows(
+        obs.frame[views],
+        np.stack(index),
+        gram,
+        np.stack(by_globals),
+        by_unit,
+        score,
+        low,
+        low_globals,
+        low_unit,
+        low_residual,
+        size,
+    )
