@@ -29,6 +29,8 @@ from rgbd_calib.types import Board, PlacedView
 
 SCALES_KNOWN = 0.1
 """Relative change of the sigmas below which they are known well enough to call something an outlier."""
+MIN_SHARE_LEFT = 0.2
+"""Of a camera's views that others share: where fewer agree with the rest, the camera is not of this rig."""
 
 
 def problem_of(
@@ -192,9 +194,11 @@ def _message(settled: bool, params: BundleParams) -> str:
 
 
 def _check_left(problem: Problem, dropped: Mapping[tuple[str, str], str]) -> None:
-    """Every camera must still be joined to the reference by frames that are left."""
+    """Every camera must still be joined to the reference by frames that are left, and not by a few that agree by chance."""
     obs, cameras = problem.obs, problem.setup.cameras
     used = obs.has_pixel.any(axis=1) & obs.shared
+    left, at_first = (np.bincount(obs.camera[v], minlength=len(cameras)) for v in (used, obs.shared))
+    used &= (left >= MIN_SHARE_LEFT * at_first)[obs.camera]
     joined, grown = {cameras.index(problem.setup.reference)}, True
     while grown:
         frames = {int(f) for f, c in zip(obs.frame[used], obs.camera[used], strict=True) if int(c) in joined}
@@ -206,7 +210,7 @@ def _check_left(problem: Problem, dropped: Mapping[tuple[str, str], str]) -> Non
             f"{camera} frame {frame}: {text}" for (camera, frame), text in dropped.items() if camera in lost
         )
         raise CalibrationError(
-            f"{', '.join(lost)}: no view is left that agrees with the other cameras ({why}); five common views are needed. "
+            f"{', '.join(lost)}: too few views are left that agree with the other cameras ({why}); five common views are needed. "
             "The camera moved while the recording was made, its frames are of other instants or mirrored, or the board moved "
             "between exposures: fix the camera, hold the board still while all expose, and film again"
         )
