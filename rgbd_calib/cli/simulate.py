@@ -74,8 +74,15 @@ from rgbd_calib.cli import options
     show_default=True,
     help="Depth noise: one sigma is k z^2, z in metres; not below what the steps of 1/8 px disparity make, 0.00084.",
 )
+@click.option("--ideal", is_flag=True, help="None of the errors of real prints, sensors and walls below.")
+@click.option("--no-print-errors", is_flag=True, help="A flat board with square squares on both faces.")
+@click.option("--no-depth-field", is_flag=True, help="Depth that does not err over the image.")
+@click.option("--no-registration-error", is_flag=True, help="Depth images registered to their colour images exactly.")
+@click.option("--no-wall-errors", is_flag=True, help="Walls square to the camera, distances measured exactly.")
 @click.option("--no-bias", is_flag=True, help="Depth sensors without bias.")
-@click.option("--no-noise", is_flag=True, help="No noise and no blur at all, exact depth to the millimetre, no bias.")
+@click.option(
+    "--no-noise", is_flag=True, help="As --ideal; and no noise, no blur, no bias, depth exact to the millimetre."
+)
 @options.seed_option
 @options.overwrite_option
 @options.jobs_option
@@ -95,6 +102,11 @@ def command(
     sigma_grey: float,
     blur: float,
     depth_k: float,
+    ideal: bool,
+    no_print_errors: bool,
+    no_depth_field: bool,
+    no_registration_error: bool,
+    no_wall_errors: bool,
     no_bias: bool,
     no_noise: bool,
     seed: int,
@@ -103,20 +115,22 @@ def command(
 ) -> None:
     """Render the recordings of a rig whose truth is known into the folder OUT.
 
-    A furnished room, cameras on an arc or in a ring, a checkerboard on a stand. Each camera has its own lens and its
-    own depth bias. The same options and seed give the same bytes.
+    A furnished room, cameras on an arc or in a ring, a checkerboard on a stand. Each camera has its own lens, depth
+    bias, depth error over the image and registration error; the board is printed and bent as boards are; walls are
+    not quite square and measured by tape. The same options and seed give the same bytes.
 
     \b
     OUT/extrinsic         the board between the cameras
     OUT/intrinsic         the board close to one camera at a time
     OUT/depth_bias        a wall at known distances
-    OUT/truth.yaml        the true rig, and the board's pose in every frame
+    OUT/truth.yaml        the true rig, board and walls, and the board's pose in every frame
     OUT/true_corners.csv  where every corner truly is in every image, and whether it can be seen
 
     \b
     Examples:
       rgbd-calib simulate demo
       rgbd-calib simulate ring8 --cameras 8 --layout ring --seed 3
+      rgbd-calib simulate perfect --ideal
       rgbd-calib simulate clean --no-noise --frames 12
     """
     options.refuse_existing(out, overwrite)
@@ -127,11 +141,19 @@ def command(
     import time
 
     from rgbd_calib.io.files import whole_folder
+    from rgbd_calib.simulation.color_sensor import ColorNoise
     from rgbd_calib.simulation.depth_sensor import DepthNoise
+    from rgbd_calib.simulation.realism import IDEAL, Part, Realism
     from rgbd_calib.simulation.recording import SimulationParams, simulate
-    from rgbd_calib.simulation.render import ColorNoise
     from rgbd_calib.types import Board
 
+    switches: dict[Part, bool] = {
+        "print": no_print_errors,
+        "depth_field": no_depth_field,
+        "registration": no_registration_error,
+        "walls": no_wall_errors,
+    }
+    off = [part for part, exact in switches.items() if exact]
     params = SimulationParams(
         cameras=cameras,
         layout=layout,  # type: ignore[arg-type]
@@ -145,6 +167,7 @@ def command(
         color_noise=ColorNoise(0.0, 0.0) if no_noise else ColorNoise(blur, sigma_grey),
         depth_noise=DepthNoise(k_per_m=depth_k, ideal=no_noise),
         bias=not (no_bias or no_noise),
+        realism=IDEAL if ideal or no_noise else Realism().without(*off),
     )
     begin = time.monotonic()
     with whole_folder(out, overwrite) as folder:

@@ -17,6 +17,7 @@ import numpy as np
 from scipy import ndimage
 
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.simulation.depth_field import SensorField, reported
 from rgbd_calib.types import DepthBias
 
 
@@ -55,7 +56,12 @@ def biased(z_true_m: FloatArray, bias: DepthBias) -> FloatArray:
 
 
 def measure(
-    z_true_m: FloatArray, cos_incidence: FloatArray, noise: DepthNoise, bias: DepthBias, rng: np.random.Generator
+    z_true_m: FloatArray,
+    cos_incidence: FloatArray,
+    noise: DepthNoise,
+    bias: DepthBias,
+    rng: np.random.Generator,
+    field: SensorField | None = None,
 ) -> np.ndarray:
     """Depth image (h, w) in whole millimetres, uint16, 0 where there is no measurement.
 
@@ -65,7 +71,7 @@ def measure(
     z_m = np.where(seen, z_true_m, noise.max_m + 1)
     if not noise.ideal:
         seen &= ~_holes(z_m, cos_incidence, noise, rng)
-        z_m = biased(z_m, bias)
+        z_m = biased(z_m, bias) if field is None else reported(z_m, bias, field)
         disparity = noise.product / z_m + _noise_px(z_m.shape, noise, rng)
         disparity = np.round(disparity / noise.disparity_step_px) * noise.disparity_step_px
         z_m = noise.product / np.maximum(disparity, noise.disparity_step_px)

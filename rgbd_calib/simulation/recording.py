@@ -10,7 +10,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
@@ -21,19 +21,32 @@ import numpy as np
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io import recording as files
-from rgbd_calib.io.rig import write_rig
 from rgbd_calib.simulation import board as boards
-from rgbd_calib.simulation import poses, rig, wall
+from rgbd_calib.simulation import poses, rig
+from rgbd_calib.simulation.bent import bent_faces
+from rgbd_calib.simulation.color_sensor import ColorNoise, develop
 from rgbd_calib.simulation.depth_sensor import DepthNoise, measure
-from rgbd_calib.simulation.render import ColorNoise, Picture, View, develop, render_room, render_with_board
+from rgbd_calib.simulation.printed import Printed, printed
+from rgbd_calib.simulation.realism import IDEAL, Realism
+from rgbd_calib.simulation.render import (
+    Picture,
+    View,
+    render_room,
+    render_with_board,
+    see_board,
+    see_room,
+    with_board,
+)
 from rgbd_calib.simulation.rig import Layout, TrueRig
 from rgbd_calib.simulation.room import furnished_room
 from rgbd_calib.simulation.scene import Caster
-from rgbd_calib.types import Board, Rig, RigCamera
+from rgbd_calib.simulation.truth import write_truth
+from rgbd_calib.simulation.wall import SQUARE, TapedWall, Wall, render_wall, tilted
+from rgbd_calib.types import Board
 
 Progress = Callable[[Iterable[Any], int, str], Iterator[Any]]
 
-_RIG, _SHARED, _CLOSE, _ROOM, _IMAGE, _WALL = range(6)
+_RIG, _SHARED, _CLOSE, _ROOM, _IMAGE, _WALL, _PRINT, _SENSORS, _TAPE = range(9)
 """First word of each random generator's key."""
 
 CORNER_COLUMNS = (
@@ -58,17 +71,19 @@ class SimulationParams:
     depth_noise: DepthNoise = field(default=DepthNoise())
     bias: bool = True
     """False: the depth sensors have no bias."""
+    realism: Realism = IDEAL
+    """What is wrong besides lenses, bias and noise."""
 
 
 @dataclass(frozen=True)
 class _Job:
-    """One pair of images to make: of the board at `T_room_board`, or of a wall at `distance_m`."""
+    """One pair of images to make: of the board at `T_room_board`, or of a wall."""
 
     recording: str
     camera: str
     frame: str
     T_room_board: FloatArray | None = None
-    distance_m: float = 0.0
+    wall: TapedWall | None = None
 
 
 @dataclass(frozen=True)
@@ -77,6 +92,8 @@ class _Setting:
 
     params: SimulationParams
     rig: TrueRig
+    board: Printed | None
+    """None: as it should be."""
     folder: Path
     rooms: Path
     """Folder of the finished pictures of the empty room."""
@@ -98,9 +115,12 @@ def simulate(folder: Path, params: SimulationParams, jobs: int, progress: Progre
         The board cannot be seen by the cameras.
     """
     truth = true_rig_of(params)
+    made = (
+        printed(params.board, params.realism, generator(params.seed, _PRINT)) if params.realism.has("print") else None
+    )
     shared, close, work = _plan(truth, params)
     with tempfile.TemporaryDirectory(prefix="rgbd-calib-") as rooms:
-        setting = _Setting(params, truth, folder, Path(rooms))
+        setting = _Setting(params, truth, made, folder, Path(rooms))
         corners: dict[tuple[str, str, str], list[tuple[Any, ...]]] = {}
         with _workers(setting, jobs) as run:
             for _ in progress(run(_make_room, truth.cameras), len(truth.cameras), "empty room"):
@@ -110,10 +130,8 @@ def simulate(folder: Path, params: SimulationParams, jobs: int, progress: Progre
     ordered = [row for key in sorted(corners) for row in corners[key]]
     files.write_table(folder / "true_corners.csv", CORNER_COLUMNS, ordered)
     _write_datasets(folder, params, truth, work)
-    T_world_room = truth.T_world_room
-    write_rig(
-        folder / "truth.yaml", _truth_file(truth, params), {f: T_world_room @ T for f, T in (shared | close).items()}
-    )
+    walls = {c: {j.frame: j.wall for j in work if j.wall is not None and j.camera == c} for c in truth.cameras}
+    write_truth(folder / "truth.yaml", truth, made, walls, shared | close, _provenance(params))
     return {
         name: len({j.frame for j in work if j.recording == name}) for name in ("extrinsic", "intrinsic", "depth_bias")
     }
@@ -146,7 +164,7 @@ def true_rig_of(params: SimulationParams) -> TrueRig:
     truth = rig.true_rig(params.cameras, params.layout, params.width, params.height, rng)
     if not params.bias:
         truth = replace(truth, depth_bias={c: rig.no_depth_bias() for c in truth.cameras})
-    return truth
+    return rig.with_errors(truth, params.realism, generator(params.seed, _SENSORS))
 
 
 def _plan(truth: TrueRig, params: SimulationParams) -> tuple[dict[str, FloatArray], dict[str, FloatArray], list[_Job]]:
@@ -155,7 +173,7 @@ def _plan(truth: TrueRig, params: SimulationParams) -> tuple[dict[str, FloatArra
     Frames of the shared recording count from 000000, close views from 101000 for C1, 102000 for C2, ..., walls from
     201000: no instant is in two recordings.
     """
-    room = Caster(furnished_room())
+    room, common_m = Caster(furnished_room()), _tape_error_m(params)
     n_frames = params.frames if params.frames is not None else max(30, 8 * params.cameras)
     found = poses.shared_poses(truth, params.board, n_frames, room, generator(params.seed, _SHARED))
     shared = {f"{i:06d}": T for i, T in enumerate(found)}
@@ -169,10 +187,23 @@ def _plan(truth: TrueRig, params: SimulationParams) -> tuple[dict[str, FloatArra
         close |= mine
         work += [_Job("intrinsic", c, f, T) for f, T in mine.items()]
         for k, d in enumerate(params.distances_m):
-            # nobody puts a wall to the millimetre: the distance is measured, not set
-            exact = round(d + generator(params.seed, _WALL, i, k).uniform(-0.03, 0.03), 4)
-            work.append(_Job("depth_bias", c, f"{201000 + 1000 * i + k:06d}", distance_m=exact))
+            taped = _wall(d, params.realism, common_m, generator(params.seed, _WALL, i, k))
+            work.append(_Job("depth_bias", c, f"{201000 + 1000 * i + k:06d}", wall=taped))
     return shared, close, work
+
+
+def _tape_error_m(params: SimulationParams) -> float:
+    """What all walls' distances are too long by as written: one tape, one zero."""
+    return float(generator(params.seed, _TAPE).normal(0, params.realism.tape_common_m))
+
+
+def _wall(about_m: float, realism: Realism, common_m: float, rng: np.random.Generator) -> TapedWall:
+    # nobody puts a wall to the millimetre: the distance is measured, not set
+    exact_m = round(about_m + rng.uniform(-0.03, 0.03), 4)
+    if not realism.has("walls"):
+        return TapedWall(Wall(exact_m, SQUARE), exact_m)
+    wall = Wall(exact_m, tilted(realism.wall_tilt_rad, rng))
+    return TapedWall(wall, round(exact_m + common_m + rng.normal(0, realism.tape_m), 3), realism.tape_m)
 
 
 _setting: _Setting
@@ -181,7 +212,7 @@ _setting: _Setting
 def _start(setting: _Setting) -> None:
     global _setting  # one for each process
     _setting = setting
-    for cache in (_view, _room_picture):
+    for cache in (_view, _room_picture, _depth_view, _room_depth):
         cache.cache_clear()
     import cv2
 
@@ -211,24 +242,58 @@ def _room_picture(camera: str) -> Picture:
         return Picture(stored["light"], stored["z"], stored["cos"])
 
 
+@lru_cache(maxsize=64)
+def _depth_view(camera: str) -> View | None:
+    """None: the depth image has the colour camera's geometry."""
+    own = _setting.rig.depth_camera.get(camera)
+    return None if own is None else View(own.intrinsics, _setting.rig.T_room_color[camera] @ own.T_color_depth)
+
+
+@lru_cache(maxsize=64)
+def _room_depth(camera: str) -> tuple[FloatArray, FloatArray]:
+    """Depth and cosine of incidence, (h, w) each, of the empty room as the depth camera sees it."""
+    view = _depth_view(camera)
+    if view is None:
+        picture = _room_picture(camera)
+        return picture.z_m, picture.cos_incidence
+    return see_room(view, _room())
+
+
 def _make_images(job: _Job) -> tuple[tuple[str, str, str], list[tuple[Any, ...]]]:
     """Make, save, and give the true corners of one pair of images."""
     params, truth = _setting.params, _setting.rig
     rng = generator(params.seed, _IMAGE, truth.cameras.index(job.camera), int(job.frame))
-    view = _view(job.camera)
+    view, depth_view = _view(job.camera), _depth_view(job.camera)
     rows: list[tuple[Any, ...]] = []
     if job.T_room_board is None:
-        picture = wall.render_wall(view, job.distance_m, rng)
+        assert job.wall is not None
+        picture = render_wall(view, job.wall.wall, rng)
     else:
         board_caster = Caster(boards.on_stand(params.board, job.T_room_board, _ground(job.T_room_board)))
-        picture = render_with_board(view, _room_picture(job.camera), _room(), board_caster, rng)
+        bent = bent_faces(_setting.board, job.T_room_board, view.origin_m)
+        picture = render_with_board(view, _room_picture(job.camera), _room(), board_caster, rng, bent)
         rows = _true_corners(job, view, board_caster)
     image = develop(picture, params.color_noise, rng)
-    depth = measure(picture.z_m, picture.cos_incidence, params.depth_noise, truth.depth_bias[job.camera], rng)
+    z_m, cos = (picture.z_m, picture.cos_incidence) if depth_view is None else _seen_depth(job, depth_view)
+    bias, field_ = truth.depth_bias[job.camera], truth.depth_field.get(job.camera)
+    depth = measure(z_m, cos, params.depth_noise, bias, rng, field_)
     folder = _setting.folder / job.recording
     files.save_color(folder, job.camera, job.frame, image)
     files.save_depth(folder, job.camera, job.frame, depth)
     return (job.recording, job.camera, job.frame), rows
+
+
+def _seen_depth(job: _Job, view: View) -> tuple[FloatArray, FloatArray]:
+    """True depth and cosine of incidence, (h, w) each, in a depth camera's own geometry."""
+    if job.T_room_board is None:
+        assert job.wall is not None
+        T_color_depth = _setting.rig.depth_camera[job.camera].T_color_depth
+        wall = job.wall.wall.moved(se3.inverse(T_color_depth))
+        return wall.z_m(view), wall.cos_incidence(view)
+    board_caster = Caster(boards.on_stand(_setting.params.board, job.T_room_board, _ground(job.T_room_board)))
+    z_m, cos = _room_depth(job.camera)
+    bent = bent_faces(_setting.board, job.T_room_board, view.origin_m)
+    return with_board(z_m, cos, see_board(view, z_m, board_caster, bent))
 
 
 def _ground(T_room_board: FloatArray) -> float:
@@ -244,7 +309,8 @@ def _true_corners(job: _Job, view: View, board_caster: Caster) -> list[tuple[Any
     board, K = _setting.params.board, view.intrinsics
     T_color_board = se3.inverse(_setting.rig.T_room_color[job.camera]) @ job.T_room_board
     back = bool(poses.looks_at_back(T_color_board, board))
-    p = se3.transform(T_color_board, board.corners_m(back))
+    shaped = board if _setting.board is None else _setting.board.board
+    p = se3.transform(T_color_board, shaped.corners_m(back))
     if (back and not board.two_sided) or np.any(p[:, 2] < 0.1):
         return []
     px = K.project(p)
@@ -256,6 +322,7 @@ def _true_corners(job: _Job, view: View, board_caster: Caster) -> list[tuple[Any
     toward = se3.transform(job.T_room_board, board.corners_m(back)) - view.origin_m
     eyes = np.broadcast_to(view.origin_m, toward.shape)
     far = 1 - 0.002 / np.linalg.norm(p, axis=1).max()
+    # the ray caster's board is flat, as it should be
     hidden = _room().blocked(eyes, toward, far) | board_caster.blocked(eyes, toward, far)
     face = "back" if back else "front"
     return [
@@ -271,28 +338,25 @@ def _write_datasets(folder: Path, params: SimulationParams, truth: TrueRig, work
         board = None if name == "depth_bias" else params.board
         files.write_dataset(folder / name, infos, board)
     for c in truth.cameras:
-        rows = [(j.frame, f"{j.distance_m:.4f}") for j in work if j.recording == "depth_bias" and j.camera == c]
+        walls = {j.frame: j.wall for j in work if j.wall is not None and j.camera == c}
+        rows = [(frame, *taped.written) for frame, taped in walls.items()]
         if rows:
-            files.write_table(folder / "depth_bias" / c / "distances.csv", ("frame", "distance_m"), rows)
+            columns = ("frame", "distance_m", "sd_m")[: len(rows[0])]
+            files.write_table(folder / "depth_bias" / c / "distances.csv", columns, rows)
 
 
-def _truth_file(truth: TrueRig, params: SimulationParams) -> Rig:
+def _provenance(params: SimulationParams) -> dict[str, Any]:
     from rgbd_calib import __version__
 
-    cameras = {
-        c: RigCamera(truth.intrinsics[c], truth.T_world_color[c], np.zeros((6, 6)), truth.depth_bias[c])
-        for c in truth.cameras
-    }
     noise = params.depth_noise
-    made = {
-        "program": f"rgbd-calib {__version__}",
-        "simulated": {
-            "layout": params.layout,
-            "seed": params.seed,
-            "blur_px": params.color_noise.blur_px,
-            "sigma_grey": params.color_noise.sigma_grey,
-            "depth_sigma": {"model": "k z^2", "k_per_m": 0.0 if noise.ideal else noise.k_per_m},
-            "disparity_step_px": noise.disparity_step_px,
-        },
+    simulated: dict[str, Any] = {
+        "layout": params.layout,
+        "seed": params.seed,
+        "blur_px": params.color_noise.blur_px,
+        "sigma_grey": params.color_noise.sigma_grey,
+        "depth_sigma": {"model": "k z^2", "k_per_m": 0.0 if noise.ideal else noise.k_per_m},
+        "disparity_step_px": noise.disparity_step_px,
     }
-    return Rig(truth.cameras[0], cameras, {}, made)
+    if params.realism != IDEAL:
+        simulated["realism"] = asdict(params.realism)
+    return {"program": f"rgbd-calib {__version__}", "simulated": simulated}

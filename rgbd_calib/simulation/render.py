@@ -2,11 +2,12 @@
 
 A pixel is the mean of the light over its square: rays are spread evenly over it, by geometry.camera.rays, so that
 edges are where the projection puts them. Only pixels that an edge of the board crosses get many rays; the room does
-not move, so each camera's picture of it is made once. Lens blur, noise and the sRGB curve come last.
+not move, so each camera's picture of it is made once. What the camera makes of the light is :mod:`.color_sensor`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -15,6 +16,7 @@ import numpy as np
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation import textures
+from rgbd_calib.simulation.bent import BentFace
 from rgbd_calib.simulation.scene import Caster, Hits, Scene
 
 ROOM_SAMPLES = 8
@@ -48,18 +50,6 @@ LIGHTS = (
     Light(np.array([3.37, 0.15, 0.95]), np.array([0, 1.7, 0]), np.array([0, 0, 1.35]), np.array([-1.0, 0, 0]),
           np.array([3.0, 3.4, 3.9])),
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class ColorNoise:
-    """Lens and sensor of the colour camera."""
-
-    blur_px: float = 0.6
-    """Deviation of the lens's point spread, beside the pixel's own square."""
-    sigma_grey: float = 1.5
-    """Noise at middle grey, in steps of 255; it grows with the root of the light."""
-    vignette: float = 0.12
-    """Light lost in the image's corners."""
 
 
 class View:
@@ -143,53 +133,83 @@ def render_room(view: View, caster: Caster, rng: np.random.Generator) -> Picture
 
 
 def render_with_board(
-    view: View, room: Picture, room_caster: Caster, board_caster: Caster, rng: np.random.Generator
+    view: View,
+    room: Picture,
+    room_caster: Caster,
+    board_caster: Caster,
+    rng: np.random.Generator,
+    bent: Mapping[int, BentFace] | None = None,
 ) -> Picture:
-    """The room's picture with the board (and its stand) put in front of it."""
+    """The room's picture with the board (and its stand) put in front of it; `bent` are its faces as this camera sees them,
+    by their rectangle, None: flat and printed as they should be."""
     h, w = view.shape
-    scene = board_caster.scene
-    near = view.around(scene)
-    hits = board_caster.cast(view.origin_m, view.centres[near])
-    front = hits.t < room.z_m.ravel()[near]
-    shown, quads, t = near[front], hits.quad[front], hits.t[front]
-    s_m, t_m = _on_surface(scene, quads, view.origin_m + t[:, None] * view.centres[shown])
+    scene, bent = board_caster.scene, bent or {}
+    seen = see_board(view, room.z_m, board_caster, bent)
+    shown, quads = seen.pixels, seen.quads
     quad = np.full(h * w, -1)
     quad[shown] = quads
     patch = np.full(h * w, -1)
-    patch[shown] = _patches(scene, quads, s_m, t_m)
+    patch[shown] = _patches(scene, quads, seen.s_m, seen.t_m)
     outline, crossed = _crossed(quad.reshape(h, w)), _crossed(patch.reshape(h, w))
 
     light = room.light.reshape(-1, 3).copy()
     plain = ~outline[shown]
-    points = view.origin_m + t[plain, None] * view.centres[shown[plain]]
+    points = view.origin_m + seen.z_m[plain, None] * view.centres[shown[plain]]
     irradiance = _irradiance(_facing(scene.normals[quads[plain]], points, view.origin_m), points)
-    color = _albedo(scene, quads[plain], s_m[plain], t_m[plain])[0]
+    color = _albedo(scene, quads[plain], seen.s_m[plain], seen.t_m[plain])[0]
     mixed = np.flatnonzero(crossed[shown[plain]])
-    color[mixed] = _mean_albedo(view, scene, quads[plain][mixed], shown[plain][mixed], rng)
+    color[mixed] = _mean_albedo(view, scene, quads[plain][mixed], shown[plain][mixed], bent, rng)
     light[shown[plain]] = color * irradiance
     edges = np.flatnonzero(outline)
     light[edges] = _supersample(view, edges, [board_caster, room_caster], room_caster, rng, EDGE_SAMPLES)
-
-    z_m, cos = room.z_m.ravel().copy(), room.cos_incidence.ravel().copy()
-    z_m[shown] = t
-    cos[shown] = _cos_incidence(scene, Hits(quads, t), view.centres[shown])
-    return Picture(light.reshape(h, w, 3), z_m.reshape(h, w), cos.reshape(h, w))
+    return Picture(light.reshape(h, w, 3), *with_board(room.z_m, room.cos_incidence, seen))
 
 
-def develop(picture: Picture, noise: ColorNoise, rng: np.random.Generator) -> np.ndarray:
-    """The image (h, w, 3), uint8, B G R, that the colour camera gives."""
-    light: np.ndarray = np.asarray(picture.light, np.float32)
-    h, w = light.shape[:2]
-    if noise.blur_px > 0:
-        light = cv2.GaussianBlur(light, (0, 0), noise.blur_px, borderType=cv2.BORDER_REPLICATE)
-    y, x = np.mgrid[:h, :w].astype(np.float32)
-    r2 = ((x - (w - 1) / 2) ** 2 + (y - (h - 1) / 2) ** 2) / ((w / 2) ** 2 + (h / 2) ** 2)
-    light = light * (1 - noise.vignette * r2)[..., None]
-    # photon noise: the curve's slope at middle grey (0.214 linear) turns grey steps into light
-    middle, slope = 0.214, 1.16
-    sigma = noise.sigma_grey / 255 / slope * np.sqrt((np.maximum(light, 0) + 0.02) / (middle + 0.02))
-    light = light + sigma * rng.standard_normal(light.shape, dtype=np.float32)
-    return np.round(255 * textures.encode(light)).astype(np.uint8)[..., ::-1]
+@dataclass(frozen=True)
+class SeenBoard:
+    """Pixels in which a camera sees the board or its stand, in front of the room."""
+
+    pixels: np.ndarray
+    """(n,) row-major numbers."""
+    quads: np.ndarray
+    """(n,) rectangles."""
+    z_m: FloatArray
+    """(n,)."""
+    s_m: FloatArray
+    """(n,): place on the rectangle, on a bent face on its page."""
+    t_m: FloatArray
+    cos_incidence: FloatArray
+    """(n,)."""
+
+
+def see_room(view: View, caster: Caster) -> tuple[FloatArray, FloatArray]:
+    """Depth and cosine of incidence, (h, w) each, of the room alone."""
+    hits = caster.cast(view.origin_m, view.centres)
+    return hits.t.reshape(view.shape), _cos_incidence(caster.scene, hits, view.centres).reshape(view.shape)
+
+
+def see_board(view: View, room_z_m: FloatArray, board_caster: Caster, bent: Mapping[int, BentFace]) -> SeenBoard:
+    """The board before a room of depths (h, w)."""
+    scene = board_caster.scene
+    near = view.around(scene)
+    hits = board_caster.cast(view.origin_m, view.centres[near])
+    front = hits.t < room_z_m.ravel()[near]
+    pixels, quads, z_m = near[front], hits.quad[front], hits.t[front]
+    rays = view.centres[pixels]
+    s_m, t_m = _on_surface(scene, quads, view.origin_m + z_m[:, None] * rays)
+    for number, face in bent.items():
+        mine = np.flatnonzero(quads == number)
+        s_m[mine], t_m[mine], stretch = face.meet(s_m[mine], t_m[mine])
+        z_m[mine] *= stretch
+    return SeenBoard(pixels, quads, z_m, s_m, t_m, _cos_incidence(scene, Hits(quads, z_m), rays))
+
+
+def with_board(room_z_m: FloatArray, room_cos: FloatArray, seen: SeenBoard) -> tuple[FloatArray, FloatArray]:
+    """Depth and cosine of incidence, (h, w) each, of the room with the board before it."""
+    z_m, cos = room_z_m.copy(), room_cos.copy()
+    z_m.reshape(-1)[seen.pixels] = seen.z_m
+    cos.reshape(-1)[seen.pixels] = seen.cos_incidence
+    return z_m, cos
 
 
 def _crossed(numbers: np.ndarray) -> np.ndarray:
@@ -236,7 +256,12 @@ def _supersample(
 
 
 def _mean_albedo(
-    view: View, scene: Scene, quads: np.ndarray, pixels: np.ndarray, rng: np.random.Generator
+    view: View,
+    scene: Scene,
+    quads: np.ndarray,
+    pixels: np.ndarray,
+    bent: Mapping[int, BentFace],
+    rng: np.random.Generator,
 ) -> FloatArray:
     """Mean albedo (n, 3) of pixels (n,) that see nothing but rectangles (n,), across the edges of their print."""
     mean = np.empty((len(pixels), 3))
@@ -248,6 +273,8 @@ def _mean_albedo(
         for edge in (scene.edges_u_m[q], scene.edges_v_m[q]):
             axis = edge / np.linalg.norm(edge)
             places.append(view.on_plane(pixels[mine], offsets, normal, float(normal @ rel), axis) - axis @ rel)
+        if q in bent:
+            places[:] = bent[q].meet(*places)[:2]
         material = scene.materials[scene.material[q]]
         mean[mine] = textures.print_mean(material, textures.ink(material, *places).mean(axis=1))
     return mean

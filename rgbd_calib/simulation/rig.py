@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -10,7 +10,9 @@ import numpy as np
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.types import DepthBias
+from rgbd_calib.simulation.depth_field import SensorField, structured_light
+from rgbd_calib.simulation.realism import Realism
+from rgbd_calib.types import DepthBias, DepthCamera, RigCamera
 
 Layout = Literal["arc", "ring"]
 
@@ -28,6 +30,10 @@ class TrueRig:
     intrinsics: dict[str, Intrinsics]
     T_room_color: dict[str, FloatArray]
     depth_bias: dict[str, DepthBias]
+    depth_field: dict[str, SensorField] = field(default_factory=dict)
+    """Of cameras whose depth errs over the image."""
+    depth_camera: dict[str, DepthCamera] = field(default_factory=dict)
+    """Of cameras whose depth image is not their colour image's."""
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -43,6 +49,21 @@ class TrueRig:
         """(4, 4) by camera; exactly the identity for the first."""
         first, *others = self.cameras
         return {first: np.eye(4)} | {c: self.T_world_room @ self.T_room_color[c] for c in others}
+
+    @property
+    def rig_cameras(self) -> dict[str, RigCamera]:
+        """What a rig file would have of them."""
+        return {
+            c: RigCamera(
+                self.intrinsics[c],
+                T,
+                np.zeros((6, 6)),
+                self.depth_bias[c],
+                depth_field=self.depth_field[c].grid if c in self.depth_field else None,
+                depth_camera=self.depth_camera.get(c),
+            )
+            for c, T in self.T_world_color.items()
+        }
 
 
 def look_at(position_m: FloatArray, target_m: FloatArray, roll_rad: float = 0.0) -> FloatArray:
@@ -96,3 +117,30 @@ def true_depth_bias(rng: np.random.Generator) -> DepthBias:
 
 def no_depth_bias() -> DepthBias:
     return DepthBias((0.0,), *BIAS_RANGE_M, rms_m=0.0)
+
+
+def with_errors(rig: TrueRig, realism: Realism, rng: np.random.Generator) -> TrueRig:
+    """The rig with depth that errs over the image and lies beside its colour."""
+    fields, cameras = {}, {}
+    for name, lens in rig.intrinsics.items():
+        of_field, of_registration = rng.spawn(2)
+        if realism.has("depth_field"):
+            fields[name] = structured_light(lens.width, lens.height, realism.field_m, of_field)
+        if realism.has("registration"):
+            cameras[name] = misregistered(lens, realism, of_registration)
+    return replace(rig, depth_field=fields, depth_camera=cameras)
+
+
+def misregistered(lens: Intrinsics, realism: Realism, rng: np.random.Generator) -> DepthCamera:
+    """Depth that a factory's calibration has warped to a colour image of this lens, with what is wrong with it."""
+    way, far_px = rng.uniform(0, 2 * np.pi), realism.registration_px * rng.uniform(2 / 3, 4 / 3) * lens.width / 640
+    scale = 1 + rng.normal(0, realism.registration_scale)
+    seen = replace(
+        lens,
+        fx=lens.fx * scale,
+        fy=lens.fy * scale,
+        cx=lens.cx + far_px * np.cos(way),
+        cy=lens.cy + far_px * np.sin(way),
+    )
+    turn, move = rng.normal(0, realism.registration_turn_rad, 3), rng.normal(0, realism.registration_move_m, 3)
+    return DepthCamera(seen, se3.make(so3.exp(turn), move))
