@@ -21,10 +21,11 @@ from rgbd_calib.simulation.color_sensor import ColorNoise, develop
 from rgbd_calib.simulation.depth_sensor import DepthNoise, biased, measure
 from rgbd_calib.simulation.poses import close_poses, looks_at_back, shared_poses
 from rgbd_calib.simulation.recording import SimulationParams, simulate
-from rgbd_calib.simulation.render import Picture, View, render_with_board
+from rgbd_calib.simulation.render import Picture, render_with_board
 from rgbd_calib.simulation.room import furnished_room
 from rgbd_calib.simulation.scene import Caster, box
 from rgbd_calib.simulation.textures import encode, linear, plain
+from rgbd_calib.simulation.view import View
 from rgbd_calib.simulation.wall import SQUARE, Wall, render_wall
 from rgbd_calib.types import Board
 

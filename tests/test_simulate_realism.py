@@ -24,10 +24,11 @@ from rgbd_calib.simulation.poses import close_poses, looks_at_back, shared_poses
 from rgbd_calib.simulation.printed import printed
 from rgbd_calib.simulation.realism import IDEAL, Realism
 from rgbd_calib.simulation.recording import SimulationParams, simulate
-from rgbd_calib.simulation.render import Picture, View, render_with_board
+from rgbd_calib.simulation.render import Picture, render_with_board
 from rgbd_calib.simulation.room import furnished_room
 from rgbd_calib.simulation.scene import Caster
 from rgbd_calib.simulation.session import draw_scene, film
+from rgbd_calib.simulation.view import View
 from rgbd_calib.types import Board
 
 BOARD = Board(9, 6, 0.060, two_sided=True, thickness_m=0.006)

@@ -28,19 +28,13 @@ from rgbd_calib.simulation.color_sensor import ColorNoise, develop
 from rgbd_calib.simulation.depth_sensor import DepthNoise, measure
 from rgbd_calib.simulation.printed import Printed, printed
 from rgbd_calib.simulation.realism import IDEAL, Realism
-from rgbd_calib.simulation.render import (
-    Picture,
-    View,
-    render_room,
-    render_with_board,
-    see_board,
-    see_room,
-    with_board,
-)
+from rgbd_calib.simulation.render import Picture, render_room, render_with_board
 from rgbd_calib.simulation.rig import Layout, TrueRig
 from rgbd_calib.simulation.room import furnished_room
 from rgbd_calib.simulation.scene import Caster
+from rgbd_calib.simulation.surfaces import see_board, see_room, with_board
 from rgbd_calib.simulation.truth import write_truth
+from rgbd_calib.simulation.view import View
 from rgbd_calib.simulation.wall import SQUARE, TapedWall, Wall, render_wall, tilted
 from rgbd_calib.types import Board
 

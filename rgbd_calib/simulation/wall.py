@@ -9,7 +9,8 @@ import numpy as np
 
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation import textures
-from rgbd_calib.simulation.render import Picture, View
+from rgbd_calib.simulation.render import Picture
+from rgbd_calib.simulation.view import View
 
 _PAINT = textures.plain("wall", "d9d3c5")
 _TAPE = textures.hex_color("3c5f8a")
