@@ -68,6 +68,16 @@ from rgbd_calib.cli import options
     help="Blur of the lenses, px (one sigma).",
 )
 @click.option(
+    "--fringe",
+    type=click.FloatRange(-5.0, 5.0),
+    default=0.0,
+    show_default=True,
+    help="Lateral chromatic aberration: how far red lies beyond green in the image's corners, and blue within it, px.",
+)
+@click.option(
+    "--jpeg", type=click.IntRange(1, 100), default=None, help="Colour images as JPEG of this quality, not PNG."
+)
+@click.option(
     "--depth-k",
     type=click.FloatRange(0.0, 0.05),
     default=0.0016,
@@ -79,6 +89,7 @@ from rgbd_calib.cli import options
 @click.option("--no-depth-field", is_flag=True, help="Depth that does not err over the image.")
 @click.option("--no-registration-error", is_flag=True, help="Depth images registered to their colour images exactly.")
 @click.option("--no-wall-errors", is_flag=True, help="Walls square to the camera, distances measured exactly.")
+@click.option("--no-image-errors", is_flag=True, help="Fixed light, exposure and focus.")
 @click.option("--no-bias", is_flag=True, help="Depth sensors without bias.")
 @click.option(
     "--no-noise", is_flag=True, help="As --ideal; and no noise, no blur, no bias, depth exact to the millimetre."
@@ -101,12 +112,15 @@ def command(
     thickness: float,
     sigma_grey: float,
     blur: float,
+    fringe: float,
+    jpeg: int | None,
     depth_k: float,
     ideal: bool,
     no_print_errors: bool,
     no_depth_field: bool,
     no_registration_error: bool,
     no_wall_errors: bool,
+    no_image_errors: bool,
     no_bias: bool,
     no_noise: bool,
     seed: int,
@@ -152,6 +166,7 @@ def command(
         "depth_field": no_depth_field,
         "registration": no_registration_error,
         "walls": no_wall_errors,
+        "images": no_image_errors,
     }
     off = [part for part, exact in switches.items() if exact]
     params = SimulationParams(
@@ -164,9 +179,12 @@ def command(
         height=height,
         seed=seed,
         board=Board(cols, rows, square, two_sided, thickness if two_sided else 0.0),
-        color_noise=ColorNoise(0.0, 0.0) if no_noise else ColorNoise(blur, sigma_grey),
+        color_noise=ColorNoise(0.0, 0.0, fringe_px=fringe)
+        if no_noise
+        else ColorNoise(blur, sigma_grey, fringe_px=fringe),
         depth_noise=DepthNoise(k_per_m=depth_k, ideal=no_noise),
         bias=not (no_bias or no_noise),
+        jpeg_quality=jpeg,
         realism=IDEAL if ideal or no_noise else Realism().without(*off),
     )
     begin = time.monotonic()

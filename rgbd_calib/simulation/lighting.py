@@ -34,6 +34,28 @@ LIGHTS = (
 )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class InstantLight:
+    """How much more light there is at an instant than the lamps give, uneven over the room."""
+
+    level: float
+    slope: float
+    per_m: FloatArray
+    """(3,) wave of the unevenness, over some metres along the floor."""
+    phase_rad: float
+
+    def at(self, points_m: FloatArray) -> FloatArray:
+        """Factor (...) at points (..., 3), metres, in the room."""
+        return np.asarray(self.level * (1 + self.slope * np.sin(2 * np.pi * points_m @ self.per_m + self.phase_rad)))
+
+
+def instant_light(change: float, slope: float, rng: np.random.Generator) -> InstantLight:
+    """Clouds and people before the lamps: a level and an unevenness of these relative sizes."""
+    way, phase = rng.uniform(0, 2 * np.pi, 2)
+    wave = np.array([np.cos(way), np.sin(way), 0.0]) / rng.uniform(2.0, 5.0)
+    return InstantLight(float(np.exp(rng.normal(0, change))), float(abs(rng.normal(0, slope))), wave, float(phase))
+
+
 def unshadowed(normals: FloatArray, points_m: FloatArray) -> FloatArray:
     """Light (n, 3) on points (n, 3) where nothing throws shadows."""
     light = _AMBIENT * (0.75 + 0.25 * normals[:, 2:])

@@ -6,6 +6,7 @@ Each size is one standard deviation unless it says otherwise. They come from wha
   the offset of a second sheet are what hands leave. Free targets are common because of it (Strobl and Hirzinger 2011).
 * Depth. Structured light errs in disparity, by a pattern over the image that is the device's own (Herrera, Kannala,
   Heikkila 2012); time of flight errs along the range (Sarbolandi, Lefloch, Kolb 2015).
+* Images. Exposure is automatic, focus is somewhere, light changes.
 * Registration. A factory's idea of both cameras leaves one or two pixels and some per mille of scale.
 
 References
@@ -23,7 +24,7 @@ from typing import Literal
 
 import numpy as np
 
-Part = Literal["print", "depth_field", "registration", "walls"]
+Part = Literal["print", "depth_field", "registration", "walls", "images"]
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,15 @@ class Realism:
     tape_common_m: float = 0.0015
     """The same for all walls of a recording: one tape, one zero."""
 
+    light_change: float = 0.25
+    """Of the light in the room from instant to instant, relative."""
+    light_slope: float = 0.12
+    """How uneven it is, over some metres."""
+    exposure_error: float = 0.10
+    """Of auto exposure, relative."""
+    defocus_px_m: float = 1.1
+    """Diameter of the disc that a point is blurred to, for each 1/m that it is from focus; not a deviation."""
+
     def has(self, part: Part) -> bool:
         """Is any size of this part more than zero?"""
         return any(getattr(self, name) for name in _SIZES[part])
@@ -82,6 +92,7 @@ _SIZES: dict[Part, tuple[str, ...]] = {
         "registration_px", "registration_scale", "registration_move_m", "registration_turn_rad",
     ),
     "walls": ("wall_tilt_rad", "tape_m", "tape_common_m"),
+    "images": ("light_change", "light_slope", "exposure_error", "defocus_px_m"),
 }  # fmt: skip
 
 IDEAL = Realism().without(*_SIZES)

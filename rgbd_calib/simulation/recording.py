@@ -16,16 +16,19 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io import recording as files
+from rgbd_calib.io.files import whole_file
 from rgbd_calib.simulation import board as boards
 from rgbd_calib.simulation import poses, rig
 from rgbd_calib.simulation.bent import bent_faces
-from rgbd_calib.simulation.color_sensor import ColorNoise, develop
+from rgbd_calib.simulation.color_sensor import ColorNoise, Optics, develop
 from rgbd_calib.simulation.depth_sensor import DepthNoise, measure
+from rgbd_calib.simulation.lighting import instant_light
 from rgbd_calib.simulation.printed import Printed, printed
 from rgbd_calib.simulation.realism import IDEAL, Realism
 from rgbd_calib.simulation.render import Picture, render_room, render_with_board
@@ -40,7 +43,7 @@ from rgbd_calib.types import Board
 
 Progress = Callable[[Iterable[Any], int, str], Iterator[Any]]
 
-_RIG, _SHARED, _CLOSE, _ROOM, _IMAGE, _WALL, _PRINT, _SENSORS, _TAPE = range(9)
+_RIG, _SHARED, _CLOSE, _ROOM, _IMAGE, _WALL, _PRINT, _SENSORS, _TAPE, _LIGHT = range(10)
 """First word of each random generator's key."""
 
 CORNER_COLUMNS = (
@@ -65,6 +68,8 @@ class SimulationParams:
     depth_noise: DepthNoise = field(default=DepthNoise())
     bias: bool = True
     """False: the depth sensors have no bias."""
+    jpeg_quality: int | None = None
+    """None: colour images are PNG."""
     realism: Realism = IDEAL
     """What is wrong besides lenses, bias and noise."""
 
@@ -208,8 +213,6 @@ def _start(setting: _Setting) -> None:
     _setting = setting
     for cache in (_view, _room_picture, _depth_view, _room_depth):
         cache.cache_clear()
-    import cv2
-
     cv2.setNumThreads(1)
 
 
@@ -267,12 +270,12 @@ def _make_images(job: _Job) -> tuple[tuple[str, str, str], list[tuple[Any, ...]]
         bent = bent_faces(_setting.board, job.T_room_board, view.origin_m)
         picture = render_with_board(view, _room_picture(job.camera), _room(), board_caster, rng, bent)
         rows = _true_corners(job, view, board_caster)
-    image = develop(picture, params.color_noise, rng)
+    image = develop(picture, params.color_noise, rng, *_taking(job, view, picture.z_m))
     z_m, cos = (picture.z_m, picture.cos_incidence) if depth_view is None else _seen_depth(job, depth_view)
     bias, field_ = truth.depth_bias[job.camera], truth.depth_field.get(job.camera)
     depth = measure(z_m, cos, params.depth_noise, bias, rng, field_)
     folder = _setting.folder / job.recording
-    files.save_color(folder, job.camera, job.frame, image)
+    _save_color(folder, job, image)
     files.save_depth(folder, job.camera, job.frame, depth)
     return (job.recording, job.camera, job.frame), rows
 
@@ -288,6 +291,27 @@ def _seen_depth(job: _Job, view: View) -> tuple[FloatArray, FloatArray]:
     z_m, cos = _room_depth(job.camera)
     bent = bent_faces(_setting.board, job.T_room_board, view.origin_m)
     return with_board(z_m, cos, see_board(view, z_m, board_caster, bent))
+
+
+def _taking(job: _Job, view: View, z_m: FloatArray) -> tuple[Optics | None, FloatArray | None]:
+    """The camera's focus and exposure, and how much more light (h, w) there is at this instant."""
+    realism = _setting.params.realism
+    if not realism.has("images"):
+        return None, None
+    optics = Optics(_setting.rig.focus_m[job.camera], realism.defocus_px_m, realism.exposure_error)
+    at_instant = generator(_setting.params.seed, _LIGHT, int(job.frame))
+    light = instant_light(realism.light_change, realism.light_slope, at_instant)
+    points = view.origin_m + np.minimum(z_m, 20.0).reshape(-1, 1) * view.centres
+    return optics, light.at(points).reshape(z_m.shape)
+
+
+def _save_color(folder: Path, job: _Job, image: np.ndarray) -> None:
+    quality = _setting.params.jpeg_quality
+    if quality is None:
+        files.save_color(folder, job.camera, job.frame, image)
+        return
+    with whole_file(folder / job.camera / "color" / f"{job.frame}.jpg", durable=False) as path:
+        path.write_bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes())
 
 
 def _ground(T_room_board: FloatArray) -> float:
@@ -351,6 +375,10 @@ def _provenance(params: SimulationParams) -> dict[str, Any]:
         "depth_sigma": {"model": "k z^2", "k_per_m": 0.0 if noise.ideal else noise.k_per_m},
         "disparity_step_px": noise.disparity_step_px,
     }
+    if params.jpeg_quality is not None:
+        simulated["jpeg_quality"] = params.jpeg_quality
+    if params.color_noise.fringe_px:
+        simulated["fringe_px"] = params.color_noise.fringe_px
     if params.realism != IDEAL:
         simulated["realism"] = asdict(params.realism)
     return {"program": f"rgbd-calib {__version__}", "simulated": simulated}

@@ -20,6 +20,7 @@ _RADIUS_M = 2.35
 _CENTRE_M = np.array([-0.1, 0.05, 0.0])
 _TARGET_HEIGHT_M = 1.05
 _MAX_STEP_RAD, _MAX_ARC_RAD = np.radians(34.0), np.radians(115.0)
+_FOCUS_M = (1.2, 2.4)
 BIAS_RANGE_M = (0.5, 5.0)
 
 
@@ -34,6 +35,8 @@ class TrueRig:
     """Of cameras whose depth errs over the image."""
     depth_camera: dict[str, DepthCamera] = field(default_factory=dict)
     """Of cameras whose depth image is not their colour image's."""
+    focus_m: dict[str, float] = field(default_factory=dict)
+    """Where lenses are sharp, of cameras that have a focus."""
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -120,15 +123,17 @@ def no_depth_bias() -> DepthBias:
 
 
 def with_errors(rig: TrueRig, realism: Realism, rng: np.random.Generator) -> TrueRig:
-    """The rig with depth that errs over the image and lies beside its colour."""
-    fields, cameras = {}, {}
+    """The rig with depth that errs over the image and lies beside its colour, and lenses that are sharp somewhere."""
+    fields, cameras, focus_m = {}, {}, {}
     for name, lens in rig.intrinsics.items():
-        of_field, of_registration = rng.spawn(2)
+        of_field, of_registration, of_focus = rng.spawn(3)
         if realism.has("depth_field"):
             fields[name] = structured_light(lens.width, lens.height, realism.field_m, of_field)
         if realism.has("registration"):
             cameras[name] = misregistered(lens, realism, of_registration)
-    return replace(rig, depth_field=fields, depth_camera=cameras)
+        if realism.has("images"):
+            focus_m[name] = float(of_focus.uniform(*_FOCUS_M))
+    return replace(rig, depth_field=fields, depth_camera=cameras, focus_m=focus_m)
 
 
 def misregistered(lens: Intrinsics, realism: Realism, rng: np.random.Generator) -> DepthCamera:
