@@ -2,9 +2,9 @@
 
     z_true = z + bias(z) + field(u, v, z)            field = sum_k map_k(u, v) profile_k(z)
 
-A structured-light sensor errs by a disparity delta(u, v), so that z errs by z^2 delta / (f b). The pattern is the device's
-own: the two lenses' distortion (rings and slow waves), bands of columns with a constant offset each, as on the Kinect, and
-cells where the projected pattern repeats. It decays where the disparity, in the Kinect's units of growing distance, grows:
+A triangulating sensor errs by a disparity delta(u, v), so that z errs by z^2 delta / (f b). The pattern is the device's own:
+its two lenses' distortion (rings and slow waves), and with a projector bands of columns with an offset each, and cells where
+the projected pattern repeats. A Kinect's decays where the disparity, in the Kinect's units of growing distance, grows:
 delta exp(-alpha_1 d) (Herrera, Kannala, Heikkila 2012).
 
 Maps and profiles are tables, linear in between, and so is their product: what truth.yaml has is what the images were made
@@ -13,8 +13,8 @@ with, to 1e-8 m.
 References
 ----------
 D. Herrera, J. Kannala, J. Heikkila, Joint depth and color camera calibration with distortion correction, IEEE PAMI
-34(10), 2012. K. Khoshelham, S. Oude Elberink, Sensors 12(2), 2012. K. Konolige, P. Mihelich, Technical description of
-Kinect calibration, ROS wiki, 2011 (bands of columns).
+34(10), 2012. K. Khoshelham, S. Oude Elberink, Accuracy and resolution of Kinect depth data, Sensors 12(2), 2012. J. Smisek,
+M. Jancosek, T. Pajdla, 3D with Kinect, ICCV workshops 2011 (the fixed pattern of a device, taken off planes).
 """
 
 from __future__ import annotations
@@ -90,14 +90,23 @@ def reported(z_true_m: FloatArray, bias: DepthBias, field: SensorField | None) -
 
 def structured_light(width: int, height: int, rms_m: float, rng: np.random.Generator) -> SensorField:
     """A field of this RMS over the image and 0.8 to 3 m, a quarter more or less."""
-    u, v, x, y = _nodes(width, height)
+    u, v, x, y = nodes(width, height)
     pattern = waves(x, y, 3, (0.8, 2.0), rng) + 0.8 * rings(x, y, rng) + 0.35 * bands(x, rng) + 0.35 * cells(x, y, rng)
     disparity = (_KINECT_C0 - 1 / _RANGE_M) / -_KINECT_C1
     profile = _RANGE_M**2 * np.exp(-_ALPHA * (disparity - disparity[0]))
-    return _rated(SensorField(u, v, _RANGE_M, (pattern - pattern.mean())[None], profile[None]), rms_m, rng)
+    return rated(SensorField(u, v, _RANGE_M, (pattern - pattern.mean())[None], profile[None]), rms_m, rng)
 
 
-def _rated(field: SensorField, rms_m: float, rng: np.random.Generator) -> SensorField:
+def stereo(width: int, height: int, rms_m: float, rng: np.random.Generator) -> SensorField:
+    """A field of a pair of cameras: what is wrong with the rectification of two lenses, in disparity."""
+    u, v, x, y = nodes(width, height)
+    pattern = waves(x, y, 3, (1.2, 3.0), rng) + 0.8 * rings(x, y, rng)
+    field = SensorField(u, v, _RANGE_M, (pattern - pattern.mean())[None], (_RANGE_M**2)[None])
+    return rated(field, rms_m, rng)
+
+
+def rated(field: SensorField, rms_m: float, rng: np.random.Generator) -> SensorField:
+    """The same field with this RMS over the image and 0.8 to 3 m, a quarter more or less."""
     along = np.array([np.interp(_RATED_M, field.z_m, profile) for profile in field.profiles])
     values = np.einsum("kab,kc->abc", field.maps, along)
     wanted = rms_m * np.exp(rng.normal(0, 0.25))
@@ -105,9 +114,11 @@ def _rated(field: SensorField, rms_m: float, rng: np.random.Generator) -> Sensor
     return SensorField(field.u_px, field.v_px, field.z_m, scaled, field.profiles)
 
 
-def _nodes(width: int, height: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def nodes(
+    width: int, height: int, counts: tuple[int, int] = _NODES
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Nodes u (a,) and v (b,), px, and their places x, y (a, b) about the image's middle in half widths."""
-    u, v = np.linspace(0, width - 1, _NODES[0]), np.linspace(0, height - 1, _NODES[1])
+    u, v = np.linspace(0, width - 1, counts[0]), np.linspace(0, height - 1, counts[1])
     x, y = np.meshgrid((2 * u - (width - 1)) / width, (2 * v - (height - 1)) / width, indexing="ij")
     return u, v, x, y
 

@@ -1,4 +1,4 @@
-"""A structured-light depth sensor, registered to the colour camera.
+"""A triangulating depth sensor: structured light, or two cameras.
 
 A true depth z becomes the sensor's biased depth z_m, with z = z_m + bias(z_m), and then a disparity d = f b / z_m,
 which gets noise, correlated over the matching window, and is quantised. A deviation sigma_d makes
@@ -45,6 +45,12 @@ class DepthNoise:
     def product(self) -> float:
         """Focal length times baseline, px m."""
         return self.focal_px * self.baseline_m
+
+
+STEREO = DepthNoise(
+    focal_px=385.0, baseline_m=0.050, k_per_m=4.0e-3, disparity_step_px=1 / 32, window_px=(13, 9), min_m=0.3, max_m=8.0
+)
+"""Two cameras and a projector of texture, as in a RealSense D435: 0.08 px of disparity."""
 
 
 def biased(z_true_m: FloatArray, bias: DepthBias) -> FloatArray:

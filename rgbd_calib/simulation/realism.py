@@ -24,7 +24,7 @@ from typing import Literal
 
 import numpy as np
 
-Part = Literal["print", "depth_field", "registration", "walls", "images"]
+Part = Literal["print", "depth_field", "registration", "walls", "images", "multipath", "drift"]
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,12 @@ class Realism:
     back_turn_rad: float = float(np.radians(0.3))
 
     field_m: float = 0.009
-    """RMS over the image and 0.8 to 3 m of what a camera's depth errs by besides its bias; cameras differ by a quarter."""
+    """RMS over the image and 0.8 to 3 m of what a camera's depth errs by besides its bias; cameras differ by a quarter. Time
+    of flight has 0.6 of it."""
+    stray_light: float = 0.02
+    """Time of flight: share of the light that comes over other ways (multipath, and in the lens); not a deviation."""
+    drift_m: float = 0.005
+    """Time of flight: what ranges are off by when the device is cold."""
 
     registration_px: float = 1.5
     """How far the depth image lies beside its colour image, 1/3 more or less; not a deviation."""
@@ -56,6 +61,12 @@ class Realism:
     """What is wrong with the factory's baseline, each way: a shift that falls with the range."""
     registration_turn_rad: float = float(np.radians(0.05))
     """About each axis."""
+    factory_focal: float = 0.003
+    """Depth that is not registered: of its focal lengths as the factory states them, relative."""
+    factory_centre_px: float = 1.5
+    factory_move_m: float = 1.5e-3
+    """Of its place beside the colour camera, each way."""
+    factory_turn_rad: float = float(np.radians(0.2))
 
     wall_tilt_rad: float = float(np.radians(2.0))
     """Most that a wall of a bias recording is out of square; not a deviation."""
@@ -89,9 +100,11 @@ _SIZES: dict[Part, tuple[str, ...]] = {
     ),
     "depth_field": ("field_m",),
     "registration": (
-        "registration_px", "registration_scale", "registration_move_m", "registration_turn_rad",
+        "factory_focal", "factory_centre_px", "factory_move_m", "factory_turn_rad", "registration_px", "registration_scale", "registration_move_m", "registration_turn_rad",
     ),
     "walls": ("wall_tilt_rad", "tape_m", "tape_common_m"),
+    "multipath": ("stray_light",),
+    "drift": ("drift_m",),
     "images": ("light_change", "light_slope", "exposure_error", "defocus_px_m"),
 }  # fmt: skip
 

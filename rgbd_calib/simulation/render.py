@@ -18,12 +18,11 @@ from rgbd_calib.simulation.lighting import LIGHTS, shadowed_irradiance, unshadow
 from rgbd_calib.simulation.scene import Caster
 from rgbd_calib.simulation.surfaces import (
     albedo,
+    board_albedo,
     cos_incidence,
     edge_pixels,
     facing,
-    mean_albedo,
     on_surface,
-    patches,
     see_board,
     spread_places,
     with_board,
@@ -74,21 +73,16 @@ def render_with_board(
     h, w = view.shape
     scene, bent = board_caster.scene, bent or {}
     seen = see_board(view, room.z_m, board_caster, bent)
-    shown, quads = seen.pixels, seen.quads
     quad = np.full(h * w, -1)
-    quad[shown] = quads
-    patch = np.full(h * w, -1)
-    patch[shown] = patches(scene, quads, seen.s_m, seen.t_m)
-    outline, crossed = edge_pixels(quad.reshape(h, w)), edge_pixels(patch.reshape(h, w))
+    quad[seen.pixels] = seen.quads
+    outline = edge_pixels(quad.reshape(h, w))
 
     light = room.light.reshape(-1, 3).copy()
-    plain = ~outline[shown]
-    points = view.origin_m + seen.z_m[plain, None] * view.centres[shown[plain]]
-    irradiance = unshadowed(facing(scene.normals[quads[plain]], points, view.origin_m), points)
-    color = albedo(scene, quads[plain], seen.s_m[plain], seen.t_m[plain])[0]
-    mixed = np.flatnonzero(crossed[shown[plain]])
-    color[mixed] = mean_albedo(view, scene, quads[plain][mixed], shown[plain][mixed], bent, rng)
-    light[shown[plain]] = color * irradiance
+    plain = np.flatnonzero(~outline[seen.pixels])
+    pixels = seen.pixels[plain]
+    points = view.origin_m + seen.z_m[plain, None] * view.centres[pixels]
+    irradiance = unshadowed(facing(scene.normals[seen.quads[plain]], points, view.origin_m), points)
+    light[pixels] = board_albedo(view, scene, seen, plain, bent, rng) * irradiance
     edges = np.flatnonzero(outline)
     light[edges] = _supersample(view, edges, [board_caster, room_caster], room_caster, rng, EDGE_SAMPLES)
     return Picture(light.reshape(h, w, 3), *with_board(room.z_m, room.cos_incidence, seen))

@@ -108,7 +108,7 @@ def draw_scene(
         close[name] = mine
     scene = Scene(rig, board, boards, close, noise or ViewNoise(), realism or IDEAL)
     of_print, of_sensors = rng.spawn(2)
-    cameras = with_errors(drawn, scene.realism, of_sensors).rig_cameras
+    cameras = with_errors(drawn, "structured-light", None, scene.realism, of_sensors).rig_cameras
     return reprinted(replace(scene, rig=replace(rig, cameras=cameras)), board, of_print)
 
 

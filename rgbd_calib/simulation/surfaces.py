@@ -73,6 +73,27 @@ def edge_pixels(numbers: np.ndarray) -> np.ndarray:
     return flat
 
 
+def board_albedo(
+    view: View,
+    scene: Scene,
+    seen: SeenBoard,
+    which: np.ndarray,
+    bent: Mapping[int, BentFace],
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Linear colour (m, 3) of some of the pixels that see the board, by their numbers (m,) in `seen`: the mean over the pixel
+    where an edge of the print crosses it."""
+    patch = np.full(view.shape[0] * view.shape[1], -1)
+    patch[seen.pixels] = patches(scene, seen.quads, seen.s_m, seen.t_m)
+    crossed = edge_pixels(patch.reshape(view.shape))
+    quads, pixels = seen.quads[which], seen.pixels[which]
+    color = albedo(scene, quads, seen.s_m[which], seen.t_m[which])[0]
+    printed = np.array([material.kind == "checker" for material in scene.materials])[scene.material[quads]]
+    mixed = np.flatnonzero(crossed[pixels] & printed)
+    color[mixed] = mean_albedo(view, scene, quads[mixed], pixels[mixed], bent, rng)
+    return color
+
+
 def mean_albedo(
     view: View,
     scene: Scene,

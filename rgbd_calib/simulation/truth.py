@@ -20,15 +20,19 @@ def write_truth(
     rig: TrueRig,
     board: Printed | None,
     walls: Mapping[str, Mapping[str, TapedWall]],
+    warm: Mapping[str, float],
     T_room_board: Mapping[str, FloatArray],
     provenance: Mapping[str, Any],
 ) -> None:
-    """Write the rig, T_world_board (4, 4) by frame, and in `quality` the board's shape and the walls, by camera and frame."""
+    """Write the rig, T_world_board (4, 4) by frame, and in `quality` the board's shape, and by camera and frame the walls and
+    what depth is too long by, in metres, while the device warms up; `warm` is how far the session is in each frame."""
     quality: dict[str, Any] = {}
     if board is not None:
         quality["board"] = board_truth(board)
     if any(taped.sd_m for own in walls.values() for taped in own.values()):
         quality["walls"] = {c: {f: taped.truth for f, taped in own.items()} for c, own in walls.items()}
+    if rig.cold_m:
+        quality["depth_drift"] = {c: {f: rig.drift_m(c, share) for f, share in warm.items()} for c in rig.cold_m}
     truth = Rig(rig.cameras[0], rig.rig_cameras, quality, dict(provenance))
     write_rig(path, truth, {f: rig.T_world_room @ T for f, T in T_room_board.items()})
 

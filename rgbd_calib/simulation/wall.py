@@ -13,6 +13,8 @@ from rgbd_calib.simulation.render import Picture
 from rgbd_calib.simulation.view import View
 
 _PAINT = textures.plain("wall", "d9d3c5")
+WALL_COLOR = textures.linear(np.array(_PAINT.colors[0]))
+"""Linear."""
 _TAPE = textures.hex_color("3c5f8a")
 _TAPE_WIDTH_M, _TAPE_LENGTH_M = 0.019, 0.3
 
