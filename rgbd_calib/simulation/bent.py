@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from rgbd_calib.geometry import se3
@@ -21,6 +22,7 @@ from rgbd_calib.simulation.printed import Printed, Sheet
 
 _NODE_M = 0.008
 """Between nodes: offsets that turn once in 0.2 m are linear in between to 1 % of their size."""
+_ROW = 1024
 _EDGE_ON_M = 0.05
 """An eye that is nearer than this to a face's plane sees nothing of its print."""
 _ROUNDS = 6
@@ -31,23 +33,21 @@ _ROUNDS = 6
 class BentFace:
     """One face as one eye sees it; places are (s, t), metres along the edges of the flat face's rectangle."""
 
-    nodes: FloatArray
-    """(a, b, 3): what is added to s and t, and to a stretch of 1, at nodes along s and t."""
+    nodes: np.ndarray
+    """(b, a, 3), float32: what is added to s and t, and to a stretch of 1, at nodes along t and s."""
     step_m: FloatArray
-    """(2,)."""
+    """(2,), along s and t."""
 
     def meet(self, s_m: FloatArray, t_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Places on the page (s, t), and stretch, of rays through places (...) of the flat face."""
-        a, b, _ = self.nodes.shape
-        x, y = np.clip(s_m / self.step_m[0], 0, a - 1.001), np.clip(t_m / self.step_m[1], 0, b - 1.001)
-        i, j = x.astype(int), y.astype(int)
-        x, y = x - i, y - j
-        flat = self.nodes.reshape(-1, 3)
-        at = i * b + j
-        add = [
-            (p[at] * (1 - y) + p[at + 1] * y) * (1 - x) + (p[at + b] * (1 - y) + p[at + b + 1] * y) * x for p in flat.T
-        ]
-        return s_m + add[0], t_m + add[1], 1 + add[2]
+        n = s_m.size
+        # OpenCV looks up images of less than 32768 a side; it rounds places to 1/32 of a step, that is 3 um on the page
+        maps = np.zeros((2, -(-n // _ROW), _ROW), np.float32)
+        for own, place, step in zip(maps, (s_m, t_m), self.step_m, strict=True):
+            own.reshape(-1)[:n] = place.reshape(-1) / step
+        add = cv2.remap(self.nodes, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        ds, dt, stretch = add.reshape(-1, 3)[:n].T.reshape(3, *s_m.shape)
+        return s_m + ds, t_m + dt, 1.0 + stretch.astype(float)
 
 
 def bent_faces(print_: Printed | None, T_room_board: FloatArray, eye_m: FloatArray) -> dict[int, BentFace]:
@@ -70,7 +70,7 @@ def _bent_face(sheet: Sheet, eye_m: FloatArray) -> BentFace:
     low, high = outline_m(sheet.board)
     size = (high - low)[:2]
     n = np.ceil(size / _NODE_M).astype(int) + 1
-    s, t = np.meshgrid(np.linspace(0, size[0], n[0]), np.linspace(0, size[1], n[1]), indexing="ij")
+    s, t = np.meshgrid(np.linspace(0, size[0], n[0]), np.linspace(0, size[1], n[1]))
     z = high[2] if sheet.back else low[2]
     q = np.stack([high[0] - s if sheet.back else low[0] + s, low[1] + t, np.full_like(s, z)], axis=-1)
     first = sheet.board.square_m + BORDER_M  # the page begins at corner (0, 0), the rectangle at the border's edge
@@ -81,4 +81,5 @@ def _bent_face(sheet: Sheet, eye_m: FloatArray) -> BentFace:
         stretch = (p[..., 2] - eye_m[2]) / (z - eye_m[2])
         ray = eye_m + stretch[..., None] * (q - eye_m)
         page = page + (ray - p)[..., :2] * ([-1, 1] if sheet.back else 1)
-    return BentFace(np.concatenate([page - flat, (stretch - 1)[..., None]], axis=-1), size / (n - 1))
+    nodes = np.concatenate([page - flat, (stretch - 1)[..., None]], axis=-1)
+    return BentFace(nodes.astype(np.float32), size / (n - 1))

@@ -15,7 +15,6 @@ from rgbd_calib.io import recording as files
 from rgbd_calib.io.schema_parts import DepthCameraModel
 from rgbd_calib.simulation import rig
 from rgbd_calib.simulation.images import Setting, make_images, make_room, start
-from rgbd_calib.simulation.lenses import color_lens
 from rgbd_calib.simulation.params import LENSES, PRINT, RIG, SENSORS, SimulationParams, generator
 from rgbd_calib.simulation.plan import Job, plan
 from rgbd_calib.simulation.printed import printed
@@ -89,12 +88,7 @@ def true_rig_of(params: SimulationParams) -> TrueRig:
     """The rig that a simulation with these parameters has."""
     rng = generator(params.seed, RIG)
     truth = rig.true_rig(params.cameras, params.layout, params.width, params.height, rng)
-    of_lenses = generator(params.seed, LENSES)
-    lenses = {
-        c: color_lens(params.lenses[i % len(params.lenses)], lens, of_lenses)
-        for i, (c, lens) in enumerate(truth.intrinsics.items())
-    }
-    truth = replace(truth, intrinsics=lenses)
+    truth = rig.with_lenses(truth, params.lenses, generator(params.seed, LENSES))
     if not params.bias:
         truth = replace(truth, depth_bias={c: rig.no_depth_bias() for c in truth.cameras})
     return rig.with_errors(truth, params.sensor, params.depth_size, params.realism, generator(params.seed, SENSORS))

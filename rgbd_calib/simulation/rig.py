@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -11,7 +12,7 @@ from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation.depth_field import SensorField, stereo, structured_light
-from rgbd_calib.simulation.lenses import as_the_factory_has_it, depth_camera
+from rgbd_calib.simulation.lenses import LensKind, as_the_factory_has_it, color_lens, depth_camera
 from rgbd_calib.simulation.realism import Realism
 from rgbd_calib.simulation.time_of_flight import nodes_px, time_of_flight_field
 from rgbd_calib.types import DepthBias, DepthCamera, RigCamera
@@ -135,6 +136,12 @@ def true_depth_bias(rng: np.random.Generator) -> DepthBias:
 
 def no_depth_bias() -> DepthBias:
     return DepthBias((0.0,), *BIAS_RANGE_M, rms_m=0.0)
+
+
+def with_lenses(rig: TrueRig, kinds: Sequence[LensKind], rng: np.random.Generator) -> TrueRig:
+    """The rig with colour lenses of these kinds, in turn."""
+    lenses = {c: color_lens(kinds[i % len(kinds)], lens, rng) for i, (c, lens) in enumerate(rig.intrinsics.items())}
+    return replace(rig, intrinsics=lenses)
 
 
 def with_errors(

@@ -18,9 +18,10 @@ from rgbd_calib.io.correspondences import write_corners
 from rgbd_calib.io.recording import CameraInfo, write_dataset
 from rgbd_calib.io.tables import write_table
 from rgbd_calib.simulation.depth_sensor import biased
+from rgbd_calib.simulation.lenses import LensKind
 from rgbd_calib.simulation.printed import printed
 from rgbd_calib.simulation.realism import IDEAL, Realism
-from rgbd_calib.simulation.rig import Layout, true_rig, with_errors
+from rgbd_calib.simulation.rig import Layout, true_rig, with_errors, with_lenses
 from rgbd_calib.simulation.truth import board_truth
 from rgbd_calib.simulation.views import ViewNoise, sensor_reports, true_views
 from rgbd_calib.simulation.wall import Wall, tilted
@@ -30,6 +31,8 @@ BOARD = Board(9, 6, 0.060, two_sided=True, thickness_m=0.006)
 WALLS_M = (0.6, 0.9, 1.2, 1.5, 1.8, 2.2, 2.6, 3.0, 3.5, 4.0)
 WALL_K_PER_M = 0.3e-3
 """Noise of a wall's distance, k z^2: the mean over a patch of a sensor with 1.6e-3, its window correlated."""
+VIEW_SPREAD = 0.3
+"""Of the corners' noise from view to view, where focus, exposure and light differ."""
 WALL_SHARE = 0.6
 """Width and height of the part of the image that its single distance rests on."""
 CELL_PX = 16
@@ -85,12 +88,15 @@ def draw_scene(
     board: Board = BOARD,
     noise: ViewNoise | None = None,
     realism: Realism | None = None,
+    lenses: Sequence[LensKind] = ("brown",),
 ) -> Scene:
     """Draw a rig as `simulate` does, and boards anywhere in the images of two cameras at least.
 
     `realism` None: nothing is wrong but lenses, bias and noise. The rig and the boards' poses are the same with any.
     """
-    drawn = true_rig(n_cameras, layout, 640, 480, rng)
+    sizes = realism or IDEAL
+    of_print, of_sensors, of_lenses = rng.spawn(3)
+    drawn = with_lenses(true_rig(n_cameras, layout, 640, 480, rng), lenses, of_lenses)
     rig = Rig(drawn.cameras[0], drawn.rig_cameras)
     boards: dict[str, FloatArray] = {}
     while len(boards) < frames:
@@ -106,9 +112,9 @@ def draw_scene(
             if name in _seen_by(rig, T, board):
                 mine[f"{101 + i}{len(mine):03d}"] = T
         close[name] = mine
-    scene = Scene(rig, board, boards, close, noise or ViewNoise(), realism or IDEAL)
-    of_print, of_sensors = rng.spawn(2)
-    cameras = with_errors(drawn, "structured-light", None, scene.realism, of_sensors).rig_cameras
+    usual = ViewNoise(spread=VIEW_SPREAD if sizes.has("images") else 0.0)
+    scene = Scene(rig, board, boards, close, noise or usual, sizes)
+    cameras = with_errors(drawn, "structured-light", None, sizes, of_sensors).rig_cameras
     return reprinted(replace(scene, rig=replace(rig, cameras=cameras)), board, of_print)
 
 

@@ -29,6 +29,8 @@ class ViewNoise:
     k_plane_per_m: float = 0.3e-3
     """An offset and two tilts of the whole board's depth, each k z^2 at the board's edge: three times what the corners'
     own noise makes of them on a board of 54."""
+    spread: float = 0.0
+    """Of sigma_2d_px from view to view, relative: focus and light."""
 
 
 def true_views(
@@ -56,7 +58,8 @@ def true_views(
             u, v = np.moveaxis(board.corners_m() / np.ptp(board.corners_m(), axis=0).clip(1e-9), 1, 0)[:2] * 2 - 1
             plane = np.stack([np.ones_like(u), u, v], axis=1) @ rng.normal(0, noise.k_plane_per_m, 3)
             z_m = z_m + (plane + rng.normal(0, noise.k_depth_per_m, len(z_m))) * z_m**2
-            found = px + rng.normal(0, noise.sigma_2d_px, px.shape)
+            sigma_px = noise.sigma_2d_px * (np.exp(rng.normal(0, noise.spread)) if noise.spread else 1.0)
+            found = px + rng.normal(0, sigma_px, px.shape)
             out.append(BoardView(name, frame, np.arange(len(px)), found, z_m, np.full(len(px), 30)))
     return tuple(out)
 
