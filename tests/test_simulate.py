@@ -17,14 +17,16 @@ from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_boards, read_rig
 from rgbd_calib.simulation import board as boards
 from rgbd_calib.simulation import rig as rigs
+from rgbd_calib.simulation.color_sensor import ColorNoise, develop
 from rgbd_calib.simulation.depth_sensor import DepthNoise, biased, measure
 from rgbd_calib.simulation.poses import close_poses, looks_at_back, shared_poses
 from rgbd_calib.simulation.recording import SimulationParams, simulate
-from rgbd_calib.simulation.render import ColorNoise, Picture, View, develop, render_with_board
+from rgbd_calib.simulation.render import Picture, render_with_board
 from rgbd_calib.simulation.room import furnished_room
 from rgbd_calib.simulation.scene import Caster, box
 from rgbd_calib.simulation.textures import encode, linear, plain
-from rgbd_calib.simulation.wall import render_wall
+from rgbd_calib.simulation.view import View
+from rgbd_calib.simulation.wall import SQUARE, Wall, render_wall
 from rgbd_calib.types import Board
 
 BOARD = Board(9, 6, 0.060, two_sided=True, thickness_m=0.006)
@@ -115,7 +117,7 @@ def test_wall_depths_give_the_bias_back():
     true_m = np.array([0.6, 0.9, 1.3, 1.8, 2.4, 3.0, 3.6])
     mean_m, se_m = [], []
     for distance_m in true_m:
-        picture = render_wall(view, distance_m, rng)
+        picture = render_wall(view, Wall(distance_m, SQUARE), rng)
         z_m = measure(picture.z_m, picture.cos_incidence, noise, bias, rng) / 1000.0
         mean_m.append(z_m[z_m > 0].mean())
         windows = z_m.size / np.prod(noise.window_px)

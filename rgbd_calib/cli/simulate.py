@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -68,14 +70,58 @@ from rgbd_calib.cli import options
     help="Blur of the lenses, px (one sigma).",
 )
 @click.option(
+    "--fringe",
+    type=click.FloatRange(-5.0, 5.0),
+    default=0.0,
+    show_default=True,
+    help="Lateral chromatic aberration: how far red lies beyond green in the image's corners, and blue within it, px.",
+)
+@click.option(
+    "--jpeg", type=click.IntRange(1, 100), default=None, help="Colour images as JPEG of this quality, not PNG."
+)
+@click.option(
     "--depth-k",
     type=click.FloatRange(0.0, 0.05),
-    default=0.0016,
-    show_default=True,
-    help="Depth noise: one sigma is k z^2, z in metres; not below what the steps of 1/8 px disparity make, 0.00084.",
+    default=None,
+    help="Depth noise: one sigma is k z^2, z in metres; not below what the steps of disparity make, 0.00084 for structured "
+    "light. For tof, about one sigma on white paper at 1 m, metres.  [default: 0.0016; tof 0.0007; stereo 0.004]",
 )
+@click.option(
+    "--sensor",
+    type=click.Choice(["structured-light", "tof", "stereo"]),
+    default="structured-light",
+    show_default=True,
+    help="How depth is measured; tof is time of flight.",
+)
+@click.option(
+    "--unregistered", is_flag=True, help="Depth images of a camera of their own, 52 mm beside the colour camera."
+)
+@click.option(
+    "--depth-size",
+    type=click.Choice(["512x424", "640x576", "640x480"]),
+    default=None,
+    help="Size of these, px.  [default: 512x424 for tof, else 640x480]",
+)
+@click.option("--infrared", is_flag=True, help="With --unregistered: infrared images of the depth cameras too.")
+@click.option(
+    "--lens",
+    default="brown",
+    show_default=True,
+    metavar="KIND,...",
+    help="Lenses of the colour cameras, in turn: brown (5 coefficients), rational (8), fisheye (Kannala-Brandt).",
+)
+@click.option("--ideal", is_flag=True, help="None of the errors of real prints, sensors and walls below.")
+@click.option("--no-print-errors", is_flag=True, help="A flat board with square squares on both faces.")
+@click.option("--no-depth-field", is_flag=True, help="Depth that does not err over the image.")
+@click.option("--no-registration-error", is_flag=True, help="Depth images registered to their colour images exactly.")
+@click.option("--no-wall-errors", is_flag=True, help="Walls square to the camera, distances measured exactly.")
+@click.option("--no-multipath", is_flag=True, help="tof: no light that comes over other ways.")
+@click.option("--no-drift", is_flag=True, help="tof: a device that is warm from the start.")
+@click.option("--no-image-errors", is_flag=True, help="Fixed light, exposure and focus.")
 @click.option("--no-bias", is_flag=True, help="Depth sensors without bias.")
-@click.option("--no-noise", is_flag=True, help="No noise and no blur at all, exact depth to the millimetre, no bias.")
+@click.option(
+    "--no-noise", is_flag=True, help="As --ideal; and no noise, no blur, no bias, depth exact to the millimetre."
+)
 @options.seed_option
 @options.overwrite_option
 @options.jobs_option
@@ -94,7 +140,22 @@ def command(
     thickness: float,
     sigma_grey: float,
     blur: float,
-    depth_k: float,
+    fringe: float,
+    jpeg: int | None,
+    depth_k: float | None,
+    sensor: str,
+    unregistered: bool,
+    depth_size: str | None,
+    infrared: bool,
+    lens: str,
+    ideal: bool,
+    no_print_errors: bool,
+    no_depth_field: bool,
+    no_registration_error: bool,
+    no_wall_errors: bool,
+    no_multipath: bool,
+    no_drift: bool,
+    no_image_errors: bool,
     no_bias: bool,
     no_noise: bool,
     seed: int,
@@ -103,35 +164,51 @@ def command(
 ) -> None:
     """Render the recordings of a rig whose truth is known into the folder OUT.
 
-    A furnished room, cameras on an arc or in a ring, a checkerboard on a stand. Each camera has its own lens and its
-    own depth bias. The same options and seed give the same bytes.
+    A furnished room, cameras on an arc or in a ring, a checkerboard on a stand. Each camera has its own lens, depth
+    bias, depth error over the image and registration error; the board is printed and bent as boards are; walls are
+    not quite square and measured by tape. The same options and seed give the same bytes.
 
     \b
     OUT/extrinsic         the board between the cameras
     OUT/intrinsic         the board close to one camera at a time
     OUT/depth_bias        a wall at known distances
-    OUT/truth.yaml        the true rig, and the board's pose in every frame
+    OUT/truth.yaml        the true rig, board and walls, and the board's pose in every frame
     OUT/true_corners.csv  where every corner truly is in every image, and whether it can be seen
 
     \b
     Examples:
       rgbd-calib simulate demo
       rgbd-calib simulate ring8 --cameras 8 --layout ring --seed 3
+      rgbd-calib simulate perfect --ideal
+      rgbd-calib simulate kinects --sensor tof --unregistered --infrared --lens rational
       rgbd-calib simulate clean --no-noise --frames 12
     """
     options.refuse_existing(out, overwrite)
     cols, rows = _board_size(board)
     wall_m = _distances(distances)
+    lenses = _lenses(lens)
+    if not unregistered and (infrared or depth_size):
+        raise click.UsageError("--infrared and --depth-size: depth images of their own needed. Add --unregistered")
 
     import os
     import time
 
     from rgbd_calib.io.files import whole_folder
-    from rgbd_calib.simulation.depth_sensor import DepthNoise
+    from rgbd_calib.simulation.color_sensor import ColorNoise
+    from rgbd_calib.simulation.realism import IDEAL, Part, Realism
     from rgbd_calib.simulation.recording import SimulationParams, simulate
-    from rgbd_calib.simulation.render import ColorNoise
     from rgbd_calib.types import Board
 
+    switches: dict[Part, bool] = {
+        "print": no_print_errors,
+        "depth_field": no_depth_field,
+        "registration": no_registration_error,
+        "walls": no_wall_errors,
+        "multipath": no_multipath,
+        "drift": no_drift,
+        "images": no_image_errors,
+    }
+    off = [part for part, exact in switches.items() if exact]
     params = SimulationParams(
         cameras=cameras,
         layout=layout,  # type: ignore[arg-type]
@@ -142,9 +219,17 @@ def command(
         height=height,
         seed=seed,
         board=Board(cols, rows, square, two_sided, thickness if two_sided else 0.0),
-        color_noise=ColorNoise(0.0, 0.0) if no_noise else ColorNoise(blur, sigma_grey),
-        depth_noise=DepthNoise(k_per_m=depth_k, ideal=no_noise),
+        color_noise=ColorNoise(0.0, 0.0, fringe_px=fringe)
+        if no_noise
+        else ColorNoise(blur, sigma_grey, fringe_px=fringe),
+        sensor=sensor,  # type: ignore[arg-type]
+        depth_noise=_depth_noise(sensor, depth_k, no_noise),
+        lenses=lenses,  # type: ignore[arg-type]
+        depth_size=_size(depth_size or _OWN_SIZES.get(sensor, "640x480")) if unregistered else None,
+        infrared=infrared,
         bias=not (no_bias or no_noise),
+        jpeg_quality=jpeg,
+        realism=IDEAL if ideal or no_noise else Realism().without(*off),
     )
     begin = time.monotonic()
     with whole_folder(out, overwrite) as folder:
@@ -154,6 +239,33 @@ def command(
         + ", ".join(f"{name} {n} frames" for name, n in counts.items())
         + f"; {time.monotonic() - begin:.0f} s"
     )
+
+
+_OWN_SIZES = {"tof": "512x424"}
+
+
+def _depth_noise(sensor: str, k: float | None, ideal: bool) -> Any:
+    from rgbd_calib.simulation.depth_sensor import STEREO, DepthNoise
+    from rgbd_calib.simulation.time_of_flight import TimeOfFlight
+
+    if sensor == "tof":
+        return TimeOfFlight(ideal=ideal) if k is None else TimeOfFlight(k_m=k, ideal=ideal)
+    own = replace(STEREO if sensor == "stereo" else DepthNoise(), ideal=ideal)
+    return own if k is None else replace(own, k_per_m=k)
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    return int(width), int(height)
+
+
+def _lenses(text: str) -> tuple[str, ...]:
+    kinds = tuple(part.strip() for part in text.split(","))
+    if not set(kinds) <= {"brown", "rational", "fisheye"}:
+        raise click.UsageError(
+            f"--lens: {text!r} seen; brown, rational or fisheye needed, or several with commas between"
+        )
+    return kinds
 
 
 def _board_size(text: str) -> tuple[int, int]:

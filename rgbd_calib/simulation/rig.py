@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -10,14 +11,24 @@ import numpy as np
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.types import DepthBias
+from rgbd_calib.simulation.depth_field import SensorField, stereo, structured_light
+from rgbd_calib.simulation.lenses import LensKind, as_the_factory_has_it, color_lens, depth_camera
+from rgbd_calib.simulation.realism import Realism
+from rgbd_calib.simulation.time_of_flight import nodes_px, time_of_flight_field
+from rgbd_calib.types import DepthBias, DepthCamera, RigCamera
 
 Layout = Literal["arc", "ring"]
+Sensor = Literal["structured-light", "tof", "stereo"]
 
 _RADIUS_M = 2.35
 _CENTRE_M = np.array([-0.1, 0.05, 0.0])
 _TARGET_HEIGHT_M = 1.05
 _MAX_STEP_RAD, _MAX_ARC_RAD = np.radians(34.0), np.radians(115.0)
+_TIME_OF_FLIGHT = 0.6
+"""Size of its field beside that of structured light."""
+_WARMS_UP = 0.3
+"""Share of a session, ten minutes of thirty, in which a device comes nearer to its warm state by a factor e."""
+_FOCUS_M = (1.2, 2.4)
 BIAS_RANGE_M = (0.5, 5.0)
 
 
@@ -28,6 +39,16 @@ class TrueRig:
     intrinsics: dict[str, Intrinsics]
     T_room_color: dict[str, FloatArray]
     depth_bias: dict[str, DepthBias]
+    depth_field: dict[str, SensorField] = field(default_factory=dict)
+    """Of cameras whose depth errs over the image."""
+    depth_camera: dict[str, DepthCamera] = field(default_factory=dict)
+    """Of cameras whose depth image is not their colour image's."""
+    stated_depth: dict[str, DepthCamera] = field(default_factory=dict)
+    """Of cameras whose depth is not registered, what the factory says of it."""
+    cold_m: dict[str, float] = field(default_factory=dict)
+    """What depth is too long by when the session begins."""
+    focus_m: dict[str, float] = field(default_factory=dict)
+    """Where lenses are sharp, of cameras that have a focus."""
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -43,6 +64,25 @@ class TrueRig:
         """(4, 4) by camera; exactly the identity for the first."""
         first, *others = self.cameras
         return {first: np.eye(4)} | {c: self.T_world_room @ self.T_room_color[c] for c in others}
+
+    def drift_m(self, camera: str, warm: float) -> float:
+        """What its depth is too long by when a share `warm` of the session is over; its bias is that of the warm device."""
+        return self.cold_m.get(camera, 0.0) * float(np.exp(-warm / _WARMS_UP))
+
+    @property
+    def rig_cameras(self) -> dict[str, RigCamera]:
+        """What a rig file would have of them."""
+        return {
+            c: RigCamera(
+                self.intrinsics[c],
+                T,
+                np.zeros((6, 6)),
+                self.depth_bias[c],
+                depth_field=self.depth_field[c].grid if c in self.depth_field else None,
+                depth_camera=self.depth_camera.get(c),
+            )
+            for c, T in self.T_world_color.items()
+        }
 
 
 def look_at(position_m: FloatArray, target_m: FloatArray, roll_rad: float = 0.0) -> FloatArray:
@@ -96,3 +136,56 @@ def true_depth_bias(rng: np.random.Generator) -> DepthBias:
 
 def no_depth_bias() -> DepthBias:
     return DepthBias((0.0,), *BIAS_RANGE_M, rms_m=0.0)
+
+
+def with_lenses(rig: TrueRig, kinds: Sequence[LensKind], rng: np.random.Generator) -> TrueRig:
+    """The rig with colour lenses of these kinds, in turn."""
+    lenses = {c: color_lens(kinds[i % len(kinds)], lens, rng) for i, (c, lens) in enumerate(rig.intrinsics.items())}
+    return replace(rig, intrinsics=lenses)
+
+
+def with_errors(
+    rig: TrueRig, sensor: Sensor, depth_size: tuple[int, int] | None, realism: Realism, rng: np.random.Generator
+) -> TrueRig:
+    """The rig with depth that errs over the image and lies beside its colour, and lenses that are sharp somewhere.
+
+    With a `depth_size` depth is not registered to colour: it has a camera of its own.
+    """
+    fields, cameras, stated, cold_m, focus_m = {}, {}, {}, {}, {}
+    for name, lens in rig.intrinsics.items():
+        of_field, of_registration, of_drift, of_focus = rng.spawn(4)
+        if depth_size is not None:
+            cameras[name] = depth_camera(depth_size, of_registration)
+            stated[name] = as_the_factory_has_it(cameras[name], realism, of_registration)
+        elif realism.has("registration"):
+            cameras[name] = misregistered(lens, realism, of_registration)
+        if realism.has("depth_field"):
+            fields[name] = _field(sensor, cameras[name].intrinsics if name in cameras else lens, realism, of_field)
+        if sensor == "tof" and realism.has("drift"):
+            cold_m[name] = float(of_drift.normal(0, realism.drift_m))
+        if realism.has("images"):
+            focus_m[name] = float(of_focus.uniform(*_FOCUS_M))
+    return replace(rig, depth_field=fields, depth_camera=cameras, stated_depth=stated, cold_m=cold_m, focus_m=focus_m)
+
+
+def _field(sensor: Sensor, lens: Intrinsics, realism: Realism, rng: np.random.Generator) -> SensorField:
+    if sensor == "tof":
+        length = np.linalg.norm(lens.rays(nodes_px(lens.width, lens.height)), axis=-1)
+        return time_of_flight_field(lens.width, lens.height, length, _TIME_OF_FLIGHT * realism.field_m, rng)
+    draw = stereo if sensor == "stereo" else structured_light
+    return draw(lens.width, lens.height, realism.field_m, rng)
+
+
+def misregistered(lens: Intrinsics, realism: Realism, rng: np.random.Generator) -> DepthCamera:
+    """Depth that a factory's calibration has warped to a colour image of this lens, with what is wrong with it."""
+    way, far_px = rng.uniform(0, 2 * np.pi), realism.registration_px * rng.uniform(2 / 3, 4 / 3) * lens.width / 640
+    scale = 1 + rng.normal(0, realism.registration_scale)
+    seen = replace(
+        lens,
+        fx=lens.fx * scale,
+        fy=lens.fy * scale,
+        cx=lens.cx + far_px * np.cos(way),
+        cy=lens.cy + far_px * np.sin(way),
+    )
+    turn, move = rng.normal(0, realism.registration_turn_rad, 3), rng.normal(0, realism.registration_move_m, 3)
+    return DepthCamera(seen, se3.make(so3.exp(turn), move))

@@ -18,14 +18,26 @@ from rgbd_calib.io.correspondences import write_corners
 from rgbd_calib.io.recording import CameraInfo, write_dataset
 from rgbd_calib.io.tables import write_table
 from rgbd_calib.simulation.depth_sensor import biased
-from rgbd_calib.simulation.rig import Layout, true_rig
-from rgbd_calib.simulation.views import ViewNoise, true_views
+from rgbd_calib.simulation.lenses import LensKind
+from rgbd_calib.simulation.printed import printed
+from rgbd_calib.simulation.realism import IDEAL, Realism
+from rgbd_calib.simulation.rig import Layout, true_rig, with_errors, with_lenses
+from rgbd_calib.simulation.truth import board_truth
+from rgbd_calib.simulation.views import ViewNoise, sensor_reports, true_views
+from rgbd_calib.simulation.wall import Wall, tilted
 from rgbd_calib.types import Board, BoardView, Rig, RigCamera
 
 BOARD = Board(9, 6, 0.060, two_sided=True, thickness_m=0.006)
 WALLS_M = (0.6, 0.9, 1.2, 1.5, 1.8, 2.2, 2.6, 3.0, 3.5, 4.0)
 WALL_K_PER_M = 0.3e-3
 """Noise of a wall's distance, k z^2: the mean over a patch of a sensor with 1.6e-3, its window correlated."""
+VIEW_SPREAD = 0.3
+"""Of the corners' noise from view to view, where focus, exposure and light differ."""
+WALL_SHARE = 0.6
+"""Width and height of the part of the image that its single distance rests on."""
+CELL_PX = 16
+CELL_K_PER_M = 0.8e-3
+"""Noise of a cell's mean, k z^2: a sensor with 1.6e-3 whose noise is alike over 9 x 7 px has four values in one."""
 _SHARED_M, _CLOSE_M = (1.3, 2.9), (0.6, 1.4)
 _TILT_RAD = 0.6
 
@@ -36,11 +48,13 @@ class Scene:
 
     rig: Rig
     board: Board
+    """Its shape as printed."""
     boards: dict[str, FloatArray]
     """T_world_board (4, 4) by frame, in order of time."""
     close: dict[str, dict[str, FloatArray]]
     """Of each camera alone."""
     noise: ViewNoise
+    realism: Realism = IDEAL
 
 
 @dataclass(frozen=True)
@@ -56,6 +70,9 @@ class Session:
     """None: no intrinsic recording."""
     walls: dict[str, FloatArray] | None
     """(n, 3) by camera: depth as measured, distance as written down, standard error, metres. None: no bias recording."""
+    wall_cells: dict[str, FloatArray] | None = None
+    """(n, cells, 3) by camera: of each wall u and v, px, and the depth measured, the mean over a cell of the image. None:
+    no bias recording, or an ideal one."""
     lenses: dict[str, Intrinsics] = field(default_factory=dict)
     """A file of intrinsics in place of the intrinsic recording; empty: there is none."""
     late_stamps_us: float = 0.0
@@ -70,14 +87,17 @@ def draw_scene(
     rng: np.random.Generator,
     board: Board = BOARD,
     noise: ViewNoise | None = None,
+    realism: Realism | None = None,
+    lenses: Sequence[LensKind] = ("brown",),
 ) -> Scene:
-    """Draw a rig as `simulate` does, and boards anywhere in the images of two cameras at least."""
-    drawn = true_rig(n_cameras, layout, 640, 480, rng)
-    nothing = np.zeros((6, 6))
-    cameras = {
-        c: RigCamera(drawn.intrinsics[c], T, nothing, drawn.depth_bias[c]) for c, T in drawn.T_world_color.items()
-    }
-    rig = Rig(drawn.cameras[0], cameras)
+    """Draw a rig as `simulate` does, and boards anywhere in the images of two cameras at least.
+
+    `realism` None: nothing is wrong but lenses, bias and noise. The rig and the boards' poses are the same with any.
+    """
+    sizes = realism or IDEAL
+    of_print, of_sensors, of_lenses = rng.spawn(3)
+    drawn = with_lenses(true_rig(n_cameras, layout, 640, 480, rng), lenses, of_lenses)
+    rig = Rig(drawn.cameras[0], drawn.rig_cameras)
     boards: dict[str, FloatArray] = {}
     while len(boards) < frames:
         name = drawn.cameras[len(boards) % n_cameras]
@@ -92,7 +112,18 @@ def draw_scene(
             if name in _seen_by(rig, T, board):
                 mine[f"{101 + i}{len(mine):03d}"] = T
         close[name] = mine
-    return Scene(rig, board, boards, close, noise or ViewNoise())
+    usual = ViewNoise(spread=VIEW_SPREAD if sizes.has("images") else 0.0)
+    scene = Scene(rig, board, boards, close, noise or usual, sizes)
+    cameras = with_errors(drawn, "structured-light", None, sizes, of_sensors).rig_cameras
+    return reprinted(replace(scene, rig=replace(rig, cameras=cameras)), board, of_print)
+
+
+def reprinted(scene: Scene, board: Board, rng: np.random.Generator) -> Scene:
+    """The same scene with a board, as stated, that has just been printed and glued."""
+    if not scene.realism.has("print"):
+        return replace(scene, board=board)
+    made = printed(board, scene.realism, rng)
+    return replace(scene, board=made.board, rig=replace(scene.rig, quality={"board": board_truth(made)}))
 
 
 def draw_board(
@@ -119,13 +150,18 @@ def draw_board(
 def film(scene: Scene, rng: np.random.Generator, stated: Board | None = None) -> Session:
     """Every recording of a session; `stated` is the board that dataset.yaml has, None: the true one."""
     views = true_views(scene.rig, scene.boards, scene.board, scene.noise, rng)
+    close = film_close(scene, rng)
+    common_m = rng.spawn(1)[0].normal(0, scene.realism.tape_common_m)
+    walls = {name: film_walls(own, rng, scene.realism, common_m) for name, own in scene.rig.cameras.items()}
+    cells = {name: own.cells for name, own in walls.items() if own.cells is not None}
     return Session(
         scene.rig,
-        stated or scene.board,
+        replace(stated or scene.board, shape=None),
         scene.boards,
         views,
-        film_close(scene, rng),
-        {name: film_walls(own, rng) for name, own in scene.rig.cameras.items()},
+        close,
+        {name: own.rows for name, own in walls.items()},
+        cells or None,
     )
 
 
@@ -138,12 +174,47 @@ def film_close(scene: Scene, rng: np.random.Generator) -> tuple[BoardView, ...]:
     return tuple(out)
 
 
-def film_walls(camera: RigCamera, rng: np.random.Generator) -> FloatArray:
-    """Walls of a bias recording, (n, 3)."""
+@dataclass(frozen=True)
+class FilmedWalls:
+    """A camera's bias recording."""
+
+    rows: FloatArray
+    """(n, 3), as :attr:`Session.walls`."""
+    cells: FloatArray | None = None
+    """(n, cells, 3), as :attr:`Session.wall_cells`."""
+
+
+def film_walls(
+    camera: RigCamera, rng: np.random.Generator, realism: Realism = IDEAL, common_m: float = 0.0
+) -> FilmedWalls:
+    """Walls of a bias recording; `common_m` is what all distances are too long by as written."""
     z = np.array(WALLS_M)
-    measured = z if camera.depth_bias is None else biased(z, camera.depth_bias)
     sigma = WALL_K_PER_M * z**2
-    return np.stack([measured + rng.normal(0, sigma), z, sigma], axis=1)
+    if not (realism.has("depth_field") or realism.has("registration") or realism.has("walls")):
+        measured = z if camera.depth_bias is None else biased(z, camera.depth_bias)
+        return FilmedWalls(np.stack([measured + rng.normal(0, sigma), z, sigma], axis=1))
+    cells = np.stack([_wall_cells(camera, Wall(d, tilted(realism.wall_tilt_rad, rng)), rng) for d in z])
+    measured = np.array([_at_centre(own, camera.intrinsics) for own in cells])
+    written = z + common_m + rng.normal(0, realism.tape_m, len(z))
+    return FilmedWalls(np.stack([measured, written, np.hypot(sigma, realism.tape_m)], axis=1), cells)
+
+
+def _wall_cells(camera: RigCamera, wall: Wall, rng: np.random.Generator) -> FloatArray:
+    """(cells, 3): u, v and depth of cells of the depth image that shows this wall."""
+    sensor = camera.depth_sensor
+    seen, lens = wall.moved(se3.inverse(sensor.camera.T_color_depth)), sensor.camera.intrinsics
+    u, v = (np.arange(CELL_PX / 2 - 0.5, side, CELL_PX) for side in (lens.width, lens.height))
+    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    z_m = sensor_reports(sensor, pixels, seen.along(lens.rays(pixels)))
+    return np.column_stack([pixels, z_m + CELL_K_PER_M * z_m**2 * rng.standard_normal(len(z_m))])
+
+
+def _at_centre(cells: FloatArray, lens: Intrinsics) -> float:
+    """Depth at the principal point of the plane through the cells of the image's middle, where 1 / z is affine."""
+    u, v, z_m = cells.T
+    middle = (np.abs(2 * u / lens.width - 1) < WALL_SHARE) & (np.abs(2 * v / lens.height - 1) < WALL_SHARE)
+    A = np.column_stack([u - lens.cx, v - lens.cy, np.ones_like(u)])[middle]
+    return float(1 / np.linalg.lstsq(A, 1 / z_m[middle], rcond=None)[0][2])
 
 
 def write_session(session: Session, folder: Path) -> None:

@@ -1,31 +1,96 @@
-"""A wall square to a camera, for calibrating its depth: light paint with a taped cross where the axis meets it."""
+"""A wall before a camera, for calibrating its depth: light paint with a taped cross where the axis meets it."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation import textures
-from rgbd_calib.simulation.render import Picture, View
+from rgbd_calib.simulation.render import Picture
+from rgbd_calib.simulation.view import View
 
 _PAINT = textures.plain("wall", "d9d3c5")
+WALL_COLOR = textures.linear(np.array(_PAINT.colors[0]))
+"""Linear."""
 _TAPE = textures.hex_color("3c5f8a")
 _TAPE_WIDTH_M, _TAPE_LENGTH_M = 0.019, 0.3
 
 
-def render_wall(view: View, distance_m: float, rng: np.random.Generator) -> Picture:
-    """The picture of an endless wall at `distance_m` along the optical axis."""
+@dataclass(frozen=True)
+class Wall:
+    """A plane before a camera, in its frame."""
+
+    distance_m: float
+    """From the optical centre along the optical axis."""
+    normal: FloatArray
+    """(3,), away from the camera; (0, 0, 1) is square to it."""
+
+    def z_m(self, view: View) -> FloatArray:
+        """Depth (h, w) along the axis of a camera with this frame."""
+        return self.along(view.in_camera).reshape(view.shape)
+
+    def along(self, rays: FloatArray) -> FloatArray:
+        """Depth (n,) along rays (n, 3) of z = 1."""
+        return np.asarray(self.distance_m * self.normal[2] / (rays @ self.normal))
+
+    def cos_incidence(self, view: View) -> FloatArray:
+        """(h, w) between ray and wall."""
+        rays = view.in_camera
+        return np.asarray((np.abs(rays @ self.normal) / np.linalg.norm(rays, axis=1)).reshape(view.shape))
+
+    def moved(self, T_other_camera: FloatArray) -> Wall:
+        """The same wall in another camera's frame."""
+        normal = T_other_camera[:3, :3] @ self.normal
+        offset = self.normal[2] * self.distance_m + normal @ T_other_camera[:3, 3]
+        return Wall(float(offset / normal[2]), normal)
+
+
+@dataclass(frozen=True)
+class TapedWall:
+    """A wall, and its distance as somebody measured it."""
+
+    wall: Wall
+    distance_m: float
+    sd_m: float = 0.0
+    """What is said of that; 0: nothing, and the distance is true."""
+
+    @property
+    def written(self) -> tuple[str, ...]:
+        """Its distance, and standard deviation if one is known, as people write them down."""
+        return (f"{self.distance_m:.3f}", f"{self.sd_m:g}") if self.sd_m else (f"{self.distance_m:.4f}",)
+
+    @property
+    def truth(self) -> dict[str, Any]:
+        """The plane normal . p = normal_z distance_m in the colour camera's frame, as truth.yaml has it."""
+        return {"distance_m": self.wall.distance_m, "normal": self.wall.normal}
+
+
+SQUARE = np.array([0.0, 0.0, 1.0])
+
+
+def tilted(most_rad: float, rng: np.random.Generator) -> FloatArray:
+    """A wall's normal (3,), out of square by up to so much, all directions alike."""
+    way, tilt = rng.uniform(0, 2 * np.pi), most_rad * np.sqrt(rng.random())
+    return np.array([np.sin(tilt) * np.cos(way), np.sin(tilt) * np.sin(way), np.cos(tilt)])
+
+
+def render_wall(view: View, wall: Wall, rng: np.random.Generator) -> Picture:
+    """The picture of an endless wall."""
     h, w = view.shape
-    on_wall = view.in_camera * distance_m  # (h * w, 3)
+    z_m = wall.z_m(view)
+    on_wall = view.in_camera * z_m.reshape(-1, 1)  # (h * w, 3)
     x, y = on_wall[:, 0], on_wall[:, 1]
     albedo = textures.albedo(_PAINT, x, y, np.full(len(x), float(rng.integers(1000))))
-    pixel_m = distance_m / view.intrinsics.fx
+    pixel_m = wall.distance_m / view.intrinsics.fx
     for a, b in ((x, y), (y, x)):
         # the tape's share of each pixel, edges spread over one pixel
         share = np.clip((_TAPE_WIDTH_M / 2 - np.abs(a)) / pixel_m + 0.5, 0, 1)
         share *= np.clip((_TAPE_LENGTH_M / 2 - np.abs(b)) / pixel_m + 0.5, 0, 1)
         albedo = albedo * (1 - share[:, None]) + textures.linear(np.array(_TAPE)) * share[:, None]
     light = 0.75 / (1 + 0.08 * (x**2 + (y + 0.5) ** 2))
-    cos: FloatArray = distance_m / np.linalg.norm(on_wall, axis=1)
     image = (albedo * light[:, None]).astype(np.float32).reshape(h, w, 3)
-    return Picture(image, np.full((h, w), distance_m), cos.reshape(h, w))
+    cos: FloatArray = np.abs(on_wall @ wall.normal) / np.linalg.norm(on_wall, axis=1)
+    return Picture(image, z_m, cos.reshape(h, w))

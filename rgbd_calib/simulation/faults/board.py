@@ -10,7 +10,7 @@ import numpy as np
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation.faults.common import Fault, Rng, change_views, named, second_camera
-from rgbd_calib.simulation.session import Scene, Session, film
+from rgbd_calib.simulation.session import Scene, Session, film, reprinted
 from rgbd_calib.simulation.views import true_views
 from rgbd_calib.types import Board, BoardView
 
@@ -93,16 +93,17 @@ def _one_sided(scene: Scene, rng: Rng) -> Session:
 
 @named("symmetric board, read from either end")
 def _symmetric(scene: Scene, rng: Rng) -> Session:
-    board = replace(scene.board, cols=10, square_m=0.055)
-    session = film(replace(scene, board=board), rng)
+    board = replace(scene.board, cols=10, square_m=0.055, shape=None)
+    session = film(reprinted(scene, board, rng), rng)
     views = tuple(_half_turned(v, board) if rng.random() < 0.4 else v for v in session.views)
     return replace(session, views=views)
 
 
 @named("symmetric board, upside down in one camera always")
 def _upside_down(scene: Scene, rng: Rng) -> Session:
-    board = replace(scene.board, cols=10, square_m=0.055)
-    return change_views(film(replace(scene, board=board), rng), second_camera(scene), lambda v: _half_turned(v, board))
+    board = replace(scene.board, cols=10, square_m=0.055, shape=None)
+    session = film(reprinted(scene, board, rng), rng)
+    return change_views(session, second_camera(scene), lambda v: _half_turned(v, board))
 
 
 def _half_turned(view: BoardView, board: Board) -> BoardView:

@@ -16,7 +16,9 @@ from rgbd_calib.simulation.faults.common import (
     moved_rig,
     named,
     second_camera,
+    swapped_walls,
     with_lens,
+    with_pixels,
 )
 from rgbd_calib.simulation.session import Scene, Session, draw_board, film, film_close
 from rgbd_calib.simulation.views import true_views
@@ -34,8 +36,7 @@ def _swapped(scene: Scene, rng: Rng) -> Session:
 @named("cameras swapped in the rig's recording")
 def _swapped_all(scene: Scene, rng: Rng) -> Session:
     session, (a, b) = _swapped(scene, rng), list(scene.rig.cameras)[:2]
-    assert session.walls is not None
-    return replace(session, walls={**session.walls, a: session.walls[b], b: session.walls[a]})
+    return swapped_walls(session, {a: b, b: a})
 
 
 def _mirrored(view: BoardView, board: Board, width: int) -> BoardView:
@@ -56,27 +57,16 @@ def _mirror(scene: Scene, rng: Rng) -> Session:
 @named("one camera's images upside down, its intrinsics not")
 def _rotated(scene: Scene, rng: Rng) -> Session:
     camera = second_camera(scene)
-    own = scene.rig.cameras[camera]
-    lens = own.intrinsics
-    far = np.array([lens.width - 1, lens.height - 1])
-    k1, k2, p1, p2, k3 = lens.distortion
-    turned = replace(lens, cx=far[0] - lens.cx, cy=far[1] - lens.cy, distortion=(k1, k2, -p1, -p2, k3))
+    far = scene.rig.cameras[camera].intrinsics.size_px - 1
     session = change_views(film(scene, rng), camera, lambda v: replace(v, corners_px=far - v.corners_px))
-    roll = np.array([0.0, 0.0, np.pi, 0, 0, 0])
-    return replace(session, truth=with_lens(moved_rig(scene.rig, camera, roll), camera, turned))
+    return replace(session, truth=with_pixels(scene.rig, camera, -1.0, far, roll=True))
 
 
 @named("one camera's images cropped by 3 % and enlarged")
 def _cropped(scene: Scene, rng: Rng) -> Session:
-    camera = second_camera(scene)
-    lens, s, at = scene.rig.cameras[camera].intrinsics, 1.03, np.array([6.0, 9.0])
-    truth = with_lens(
-        scene.rig,
-        camera,
-        replace(lens, fx=s * lens.fx, fy=s * lens.fy, cx=s * (lens.cx - at[0]), cy=s * (lens.cy - at[1])),
-    )
+    camera, s, at = second_camera(scene), 1.03, np.array([6.0, 9.0])
     session = change_views(film(scene, rng), camera, lambda v: replace(v, corners_px=s * (v.corners_px - at)))
-    return replace(session, truth=truth)
+    return replace(session, truth=with_pixels(scene.rig, camera, s, -s * at))
 
 
 def _bumped(xi: FloatArray, which: int) -> Fault:

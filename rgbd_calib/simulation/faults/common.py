@@ -9,6 +9,7 @@ import numpy as np
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.geometry.depth_error import GridField
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation.session import Scene, Session, film
 from rgbd_calib.simulation.views import true_views
@@ -46,6 +47,47 @@ def moved_rig(rig: Rig, camera: str, xi: FloatArray) -> Rig:
 
 def with_lens(rig: Rig, camera: str, lens: Intrinsics) -> Rig:
     return replace(rig, cameras={**rig.cameras, camera: replace(rig.cameras[camera], intrinsics=lens)})
+
+
+def with_pixels(rig: Rig, camera: str, scale: float, offset_px: FloatArray, roll: bool = False) -> Rig:
+    """The rig whose camera has images of which pixel q is now ``scale q + offset``, colour and depth alike.
+
+    With `scale` -1 they are upside down; `roll` turns the camera with them, so that its lens is an upright one.
+    """
+    own, sign = rig.cameras[camera], np.sign(scale)
+    R = np.diag([sign, sign, 1.0, 1.0]) if roll else np.eye(4)
+
+    def moved(lens: Intrinsics) -> Intrinsics:
+        cx, cy = (float(v) for v in scale * np.array([lens.cx, lens.cy]) + offset_px)
+        k = tuple(sign * v if i in (2, 3) else v for i, v in enumerate(lens.distortion))
+        return replace(lens, fx=abs(scale) * lens.fx, fy=abs(scale) * lens.fy, cx=cx, cy=cy, distortion=k)
+
+    depth, field = own.depth_camera, own.depth_field
+    if depth is not None:
+        depth = replace(depth, intrinsics=moved(depth.intrinsics), T_color_depth=R @ depth.T_color_depth @ R)
+    if isinstance(field, GridField):
+        way = slice(None, None, int(sign))
+        u, v = (scale * axis + o for axis, o in zip((field.u_px, field.v_px), offset_px, strict=True))
+        field = GridField(u[way], v[way], field.z_m, field.error[way, way])
+    now = replace(
+        own,
+        intrinsics=moved(own.intrinsics),
+        T_world_color=own.T_world_color @ R,
+        depth_camera=depth,
+        depth_field=field,
+    )
+    return replace(rig, cameras={**rig.cameras, camera: now})
+
+
+def swapped_walls(session: Session, names: dict[str, str]) -> Session:
+    """The session with the walls of camera names[c] stored under c."""
+    assert session.walls is not None
+    cells = session.wall_cells
+    return replace(
+        session,
+        walls={**session.walls, **{c: session.walls[other] for c, other in names.items()}},
+        wall_cells=cells and {**cells, **{c: cells[other] for c, other in names.items()}},
+    )
 
 
 def changed_half_way(scene: Scene, rig: Rig, rng: Rng) -> Session:

@@ -8,7 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.simulation.faults.common import Fault, Rng, change_views, named, second_camera, with_depths
+from rgbd_calib.simulation.faults.common import (
+    Fault,
+    Rng,
+    change_views,
+    named,
+    second_camera,
+    swapped_walls,
+    with_depths,
+)
 from rgbd_calib.simulation.session import Scene, Session, film
 from rgbd_calib.types import BoardView
 
@@ -119,10 +127,9 @@ def _walls(change: Callable[[dict[str, FloatArray], Scene], dict[str, FloatArray
 
 
 @named("depth bias of another camera")
-@_walls
-def _other_bias(walls: dict[str, FloatArray], scene: Scene) -> dict[str, FloatArray]:
-    a, b = list(walls)[:2]
-    return {**walls, b: walls[a]}
+def _other_bias(scene: Scene, rng: Rng) -> Session:
+    a, b = list(scene.rig.cameras)[:2]
+    return swapped_walls(film(scene, rng), {b: a})
 
 
 @named("one wall distance mistyped (1.2 as 2.1)")

@@ -1,0 +1,53 @@
+"""What to simulate, and the random generator of each piece of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rgbd_calib.simulation.color_sensor import ColorNoise
+from rgbd_calib.simulation.depth_sensor import DepthNoise
+from rgbd_calib.simulation.lenses import LensKind
+from rgbd_calib.simulation.realism import IDEAL, Realism
+from rgbd_calib.simulation.rig import Layout, Sensor
+from rgbd_calib.simulation.time_of_flight import TimeOfFlight
+from rgbd_calib.types import Board
+
+RIG, SHARED, CLOSE, ROOM, IMAGE, WALL, PRINT, SENSORS, TAPE, LIGHT, LENSES = range(11)
+"""First word of each random generator's key."""
+
+
+@dataclass(frozen=True)
+class SimulationParams:
+    """What to simulate. `frames` None means 30, or 8 for each camera where that is more."""
+
+    cameras: int = 4
+    layout: Layout = "arc"
+    frames: int | None = None
+    intrinsic_views: int = 20
+    distances_m: tuple[float, ...] = (0.6, 0.9, 1.2, 1.5, 1.8, 2.2, 2.6, 3.0, 3.5, 4.0)
+    width: int = 640
+    height: int = 480
+    seed: int = 0
+    board: Board = field(default=Board(9, 6, 0.060, two_sided=True, thickness_m=0.006))
+    color_noise: ColorNoise = field(default=ColorNoise())
+    sensor: Sensor = "structured-light"
+    depth_noise: DepthNoise | TimeOfFlight = field(default=DepthNoise())
+    bias: bool = True
+    """False: the depth sensors have no bias."""
+    jpeg_quality: int | None = None
+    """None: colour images are PNG."""
+    lenses: tuple[LensKind, ...] = ("brown",)
+    """Of the colour cameras, in turn."""
+    depth_size: tuple[int, int] | None = None
+    """Width and height of depth images that are not registered to colour, px; None: they are registered."""
+    infrared: bool = False
+    """With infrared images of the depth cameras, where depth is not registered."""
+    realism: Realism = IDEAL
+    """What is wrong besides lenses, bias and noise."""
+
+
+def generator(seed: int, *key: int) -> np.random.Generator:
+    """The random generator of one piece of work."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

@@ -1,0 +1,165 @@
+"""A time-of-flight depth sensor: what its pixels measure are phasors, and all of its own errors follow from that.
+
+A pixel that sees a surface of reflectance rho at range r, under an angle with cosine c, gets the phasor
+
+    S = A exp(i phi),      A = rho c V / r^2,      phi = 4 pi f r / speed of light
+
+with V the fall of the illumination towards the image's border. Phasors of several surfaces add up:
+
+* across an edge within a pixel, which makes flying pixels between the two depths; most are recognised and left out;
+* by light that strays in the lens, from all of the image about, and by light that reaches the surface over others (multipath):
+  its way is longer. What is dark, or far beside something near, is pulled most, black squares of a board too.
+
+Noise is that of photons, sigma_r = k sqrt(A + A_0) / A, A_0 other light: some mm at 3 m, more at the border and on black. The
+range's own periodic error (wiggling, of the signal's odd harmonics), a fixed pattern over the image and the drift of a device
+that warms up are systematic: :func:`time_of_flight_field`, and `drift_m`.
+
+References
+----------
+H. Sarbolandi, D. Lefloch, A. Kolb, Kinect range sensing: structured-light versus time-of-flight Kinect, CVIU 139, 2015.
+E. Lachat et al., First experiences with Kinect v2 sensor for close range 3D modelling, ISPRS Archives XL-5/W4, 2015 (5 mm in
+the first half hour). A. Corti et al., A metrological characterization of the Kinect V2, Robotics and Autonomous Systems 75,
+2016 (wiggling; noise by range and radius).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.simulation.depth_field import SensorField, nodes, rated, reported, rings, waves
+from rgbd_calib.types import DepthBias
+
+_LIGHT_M_PER_S = 299792458.0
+_PIXEL_BLUR_PX = 0.5
+_STRAY_SHARE = 0.08
+"""Deviation of the spread of stray light, of the image's width."""
+_STRAY_STEP = 8
+"""Stray light is smooth: it is made at every eighth pixel."""
+_DETOUR_M = 0.35
+"""How much longer the way over other surfaces is, one way, and how much of the stray light takes it."""
+_DETOUR_SHARE = 0.4
+_FLYING_M = 0.03
+_RANGE_M = np.round(np.linspace(0.4, 5.2, 97), 4)
+_NODES = (17, 13)
+_RANK = 5
+"""Of the wiggling over image and range, which goes with the range along the ray: the fifth part is some micrometres."""
+
+
+@dataclass(frozen=True)
+class TimeOfFlight:
+    """The sensor; the values are those of a Kinect v2."""
+
+    k_m: float = 0.7e-3
+    """Noise of a range, metres, at A = 1, but for the other light: 0.9 mm on white paper at 1 m, seen straight on."""
+    other_light: float = 0.1
+    """A_0."""
+    frequency_hz: float = 80e6
+    min_amplitude: float = 0.004
+    """Less leaves no measurement."""
+    flying_left: float = 0.4
+    """Share of flying pixels that is not recognised."""
+    min_m: float = 0.5
+    max_m: float = 4.5
+    ideal: bool = False
+    """True: no noise, no errors and no holes but those of range."""
+
+    @property
+    def m_per_rad(self) -> float:
+        """Range for each radian of phase."""
+        return _LIGHT_M_PER_S / (4 * np.pi * self.frequency_hz)
+
+
+def amplitude(z_m: FloatArray, cos_incidence: FloatArray, reflectance: FloatArray, length: FloatArray) -> FloatArray:
+    """Amplitude A (h, w); `length` (h, w) is of the rays with z = 1, which says how far from the axis they are."""
+    # the illumination falls with the fourth power of the cosine from the axis
+    return np.asarray(reflectance * cos_incidence / (z_m * length) ** 2 / length**4)
+
+
+def measure_time_of_flight(
+    z_true_m: FloatArray,
+    cos_incidence: FloatArray,
+    reflectance: FloatArray,
+    length: FloatArray,
+    sensor: TimeOfFlight,
+    bias: DepthBias,
+    rng: np.random.Generator,
+    field: SensorField | None = None,
+    drift_m: float = 0.0,
+    stray: float = 0.0,
+) -> np.ndarray:
+    """Depth image (h, w) in whole millimetres, uint16, 0 where there is no measurement.
+
+    `z_true_m`, `cos_incidence` and `reflectance` (h, w) as for :func:`depth_sensor.measure` and :func:`amplitude`; `drift_m`
+    is what this image's ranges are too long by because the device is cold, `stray` the share of light that strays or comes
+    over other surfaces.
+    """
+    seen = np.isfinite(z_true_m)
+    z_m = np.where(seen, z_true_m, 2 * sensor.max_m)
+    if not sensor.ideal:
+        r = z_m * length
+        A = amplitude(z_m, cos_incidence, reflectance, length)
+        off_m, seen_A = _mixed(r, A, sensor, stray)
+        flying = np.abs(off_m) > _FLYING_M
+        seen &= (seen_A > sensor.min_amplitude) & ~(flying & (rng.random(r.shape) > sensor.flying_left))
+        sigma = sensor.k_m * np.sqrt(seen_A + sensor.other_light) / np.maximum(seen_A, 1e-6)
+        r = r + off_m + drift_m + sigma * _grain(r.shape, rng)
+        z_m = reported(r / length, bias, field)
+    seen &= (z_m > sensor.min_m) & (z_m < sensor.max_m)
+    return np.where(seen, np.round(z_m * 1000), 0).astype(np.uint16)
+
+
+def _mixed(r: FloatArray, A: FloatArray, sensor: TimeOfFlight, stray: float) -> tuple[FloatArray, FloatArray]:
+    """What ranges (h, w) are off by because phasors add up, metres, and the amplitudes (h, w) seen."""
+    phase = r / sensor.m_per_rad
+    S = np.stack([A * np.cos(phase), A * np.sin(phase)], axis=-1).astype(np.float32)
+    total = cv2.GaussianBlur(S, (0, 0), _PIXEL_BLUR_PX, borderType=cv2.BORDER_REPLICATE)
+    if stray:
+        h, w = r.shape
+        small = cv2.resize(S, (w // _STRAY_STEP, h // _STRAY_STEP), interpolation=cv2.INTER_AREA)
+        small = cv2.GaussianBlur(small, (0, 0), _STRAY_SHARE * w / _STRAY_STEP, borderType=cv2.BORDER_REFLECT)
+        turn = 1 + _DETOUR_SHARE * (np.exp(2j * _DETOUR_M / 2 / sensor.m_per_rad) - 1)
+        x, y = (
+            small[..., 0] * turn.real - small[..., 1] * turn.imag,
+            small[..., 0] * turn.imag + small[..., 1] * turn.real,
+        )
+        total = total + stray * cv2.resize(np.stack([x, y], axis=-1), (w, h), interpolation=cv2.INTER_LINEAR)
+    # the difference of phases: the sensor's other frequencies tell which turn it is
+    cross = S[..., 0] * total[..., 1] - S[..., 1] * total[..., 0]
+    off_m = np.arctan2(cross, np.einsum("hwc,hwc->hw", S, total)) * sensor.m_per_rad
+    return off_m, np.hypot(total[..., 0], total[..., 1])
+
+
+def _grain(shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+    """Noise (h, w) of unit deviation, alike in neighbours: drivers smooth a little."""
+    white = rng.standard_normal(shape, dtype=np.float32)
+    return cv2.GaussianBlur(white, (0, 0), 0.7) * np.float32(1 / 0.40)
+
+
+def time_of_flight_field(
+    width: int, height: int, length: FloatArray, rms_m: float, rng: np.random.Generator
+) -> SensorField:
+    """Wiggling along the ray and a fixed pattern over the image, together of this RMS, a quarter more or less.
+
+    `length` (a, b) is that of the rays with z = 1 at the field's nodes. The wiggling has the periods of the fourth harmonic of
+    two frequencies, 0.94 and 2.3 m.
+    """
+    u, v, x, y = nodes(width, height, _NODES)
+    r = length[..., None] * _RANGE_M
+    phases = rng.uniform(0, 2 * np.pi, 2)
+    wiggle = np.sin(2 * np.pi * r / 0.94 + phases[0]) + 1.5 * np.sin(2 * np.pi * r / 2.3 + phases[1])
+    pattern = 1.2 * rings(x, y, rng) + 0.5 * waves(x, y, 3, (0.8, 2.0), rng)
+    total = wiggle / length[..., None] + (pattern - pattern.mean())[..., None]
+    # a sum of a few products, as fast as a field of one
+    U, s, Vt = np.linalg.svd(total.reshape(-1, len(_RANGE_M)), full_matrices=False)
+    maps = (U[:, :_RANK] * s[:_RANK]).T.reshape(_RANK, *x.shape)
+    return rated(SensorField(u, v, _RANGE_M, maps, Vt[:_RANK]), rms_m, rng)
+
+
+def nodes_px(width: int, height: int) -> FloatArray:
+    """Pixels (a, b, 2) of the nodes of :func:`time_of_flight_field`."""
+    u, v, _, _ = nodes(width, height, _NODES)
+    return np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1)

@@ -1,0 +1,44 @@
+"""truth.yaml: a rig file with what a simulation knows, in `quality` what a rig file has no place for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.io.rig import write_rig
+from rgbd_calib.io.schema_parts import BoardShapeModel
+from rgbd_calib.simulation.printed import Printed
+from rgbd_calib.simulation.rig import TrueRig
+from rgbd_calib.simulation.wall import TapedWall
+from rgbd_calib.types import Rig
+
+
+def write_truth(
+    path: Path,
+    rig: TrueRig,
+    board: Printed | None,
+    walls: Mapping[str, Mapping[str, TapedWall]],
+    warm: Mapping[str, float],
+    T_room_board: Mapping[str, FloatArray],
+    provenance: Mapping[str, Any],
+) -> None:
+    """Write the rig, T_world_board (4, 4) by frame, and in `quality` the board's shape, and by camera and frame the walls and
+    what depth is too long by, in metres, while the device warms up; `warm` is how far the session is in each frame."""
+    quality: dict[str, Any] = {}
+    if board is not None:
+        quality["board"] = board_truth(board)
+    if any(taped.sd_m for own in walls.values() for taped in own.values()):
+        quality["walls"] = {c: {f: taped.truth for f, taped in own.items()} for c, own in walls.items()}
+    if rig.cold_m:
+        quality["depth_drift"] = {c: {f: rig.drift_m(c, share) for f, share in warm.items()} for c in rig.cold_m}
+    truth = Rig(rig.cameras[0], rig.rig_cameras, quality, dict(provenance))
+    write_rig(path, truth, {f: rig.T_world_room @ T for f, T in T_room_board.items()})
+
+
+def board_truth(board: Printed) -> dict[str, Any]:
+    """The board's shape, as a rig file's `quality.board` has it."""
+    shape = board.board.shape
+    assert shape is not None
+    return {"shape": BoardShapeModel.of(shape).model_dump(exclude_none=True)}
