@@ -203,6 +203,11 @@ class NormalEquations:
         """With Gaussian knowledge of the globals: its information (P, P) and gradient (P,)."""
         return replace(self, U=self.U + information, gradient=self.gradient + gradient)
 
+    def plus_units(self, information: FloatArray, gradient: FloatArray) -> NormalEquations:
+        """With Gaussian knowledge of the units: the diagonal of its information (F, D), and its gradient (F, D)."""
+        V = self.V + information[:, :, None] * np.eye(self.pattern.size)
+        return replace(self, V=V, unit_gradient=self.unit_gradient + gradient)
+
     def regular(self) -> NormalEquations:
         """Unknowns of units that no row touches stay where they are."""
         V = self.V.copy()

@@ -95,13 +95,13 @@ class DepthBiasModel(Model):
 
 
 class PolynomialFieldModel(Model):
-    """sum_p z^p sum_k c_pk T_k(x, y): products of Legendre polynomials in x, y (-1 to 1 over the image) by total degree from 0
+    """sum_p z^p sum_k c_pk T_k(x, y): products of Legendre polynomials in x, y (-1 to 1 over the image) by total degree from 1
     on, and within a degree by the power of y from the highest; z_true = z + bias(z) + field, z held to [min_m, max_m]."""
 
     basis: Literal["legendre"] = "legendre"
     width: Side
     height: Side
-    degree: Annotated[int, Field(ge=0, le=20)]
+    degree: Annotated[int, Field(ge=1, le=20)]
     powers: Annotated[list[Annotated[int, Field(ge=-2, le=4)]], Field(min_length=1, max_length=4)]
     coefficients: list[list[Finite]]
     min_m: Positive
@@ -110,7 +110,7 @@ class PolynomialFieldModel(Model):
 
     @model_validator(mode="after")
     def _lengths(self) -> PolynomialFieldModel:
-        rows, n = len(self.powers), n_terms(self.degree)
+        rows, n = len(self.powers), n_terms(self.degree) - 1
         if [len(row) for row in self.coefficients] != [n] * rows:
             raise ValueError(f"coefficients are not {rows} x {n}, one row for each power, one number for each term")
         if self.covariance is not None and [len(row) for row in self.covariance] != [rows * n] * (rows * n):

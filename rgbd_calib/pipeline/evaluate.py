@@ -125,9 +125,7 @@ def against_truth(rig: Rig, truth: Rig, boards: Mapping[str, FloatArray], board:
         in_a, in_b = uncertainty.observe(truth, a, points), uncertainty.observe(truth, b, points)
         seen = in_a.seen & in_b.seen
         if seen.any():
-            places = [
-                uncertainty.place(rig, name, o.pixels_px[seen], o.raw_m[seen]) for name, o in ((a, in_a), (b, in_b))
-            ]
+            places = [uncertainty.place(rig, name, o.only(seen)) for name, o in ((a, in_a), (b, in_b))]
             distance = np.linalg.norm(places[0] - places[1], axis=1)
             pairs.append(PairAlignment((a, b), distance, (in_a.z_m + in_b.z_m)[seen] / 2, np.empty(0)))
     if not pairs:

@@ -52,6 +52,36 @@ class Observations:
         return Observations(**{field.name: getattr(self, field.name)[views] for field in fields(self)})
 
 
+@dataclass(frozen=True)
+class Walls:
+    """Walls of a bias recording, cut into cells; W walls, N cells, padded where images differ."""
+
+    camera: IntArray
+    """(W,)."""
+    written_m: FloatArray
+    """(W,), the distance as written down, along the optical axis."""
+    sd_m: FloatArray
+    """(W,), its standard deviation."""
+    pixels_px: FloatArray
+    """(W, N, 2), middles of the cells in the depth image."""
+    depth_m: FloatArray
+    """(W, N), mean of what was reported; 1 where there is none."""
+    seen: BoolArray
+    """(W, N)."""
+    grids: IntArray
+    """(C, 2), rows and columns of the cells of each camera, the first of the N."""
+
+    @property
+    def n(self) -> int:
+        return len(self.camera)
+
+    @classmethod
+    def none(cls) -> Walls:
+        cells = np.zeros((0, 1))
+        grids = np.zeros((0, 2), int)
+        return cls(np.zeros(0, int), np.zeros(0), np.zeros(0), np.zeros((0, 1, 2)), cells, cells.astype(bool), grids)
+
+
 def observe(
     views: Sequence[PlacedView], board: Board, units_m: Mapping[str, float]
 ) -> tuple[Observations, tuple[str, ...]]:

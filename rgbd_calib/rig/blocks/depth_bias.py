@@ -49,10 +49,11 @@ class DepthBiasBlock(DepthErrorBlock):
     @cached_property
     def range_m(self) -> FloatArray:
         """(C, 2): where each bias is a polynomial; the prior's range, else the range of the data."""
-        obs, ranges = self.setup.obs, []
+        obs, walls, ranges = self.setup.obs, self.setup.walls, []
         for i, prior in enumerate(self.setup.priors):
             z = obs.depth_m[(obs.camera == i)[:, None] & obs.has_depth]
-            if prior.bias is not None:
+            z = np.concatenate([z, walls.depth_m[(walls.camera == i)[:, None] & walls.seen]])
+            if prior.bias is not None and not prior.bias_is_start:
                 ranges.append((prior.bias.min_m, prior.bias.max_m))
             else:
                 ranges.append((float(z.min()), float(z.max())) if len(z) else (0.0, 1.0))
@@ -66,16 +67,21 @@ class DepthBiasBlock(DepthErrorBlock):
         return out
 
     def prior(self) -> BlockPrior:
-        obs, n = self.setup.obs, self.n
-        information, free = np.zeros((self.size,) * 2), np.zeros((self.sets, n), bool)
+        obs, walls, n = self.setup.obs, self.setup.walls, self.n
+        mean, information = np.zeros((self.sets, n)), np.zeros((self.size,) * 2)
+        free = np.zeros((self.sets, n), bool)
         assumed = np.zeros((self.sets, n), bool)
         for i, prior in enumerate(self.setup.priors):
             n_own = self.n_own(i)
-            free[i, :n_own] = bool(np.any(obs.has_depth[obs.camera == i])) and prior.held == "nothing"
-            assumed[i, :n_own] = prior.bias is None or prior.bias.covariance is None
+            seen = bool(np.any(obs.has_depth[obs.camera == i]) or np.any(walls.camera == i))
+            free[i, :n_own] = seen and prior.held == "nothing"
+            known = None if prior.bias_is_start else prior.bias
+            assumed[i, :n_own] = known is None or known.covariance is None
+            if known is not None:
+                mean[i, :n_own] = known.coefficients
             at = slice(i * n, i * n + n_own)
-            information[at, at] = _information(prior.bias, n_own, self.setup.params)
-        return BlockPrior(self.start().ravel(), information, free.ravel(), assumed.ravel())
+            information[at, at] = _information(known, n_own, self.setup.params)
+        return BlockPrior(mean.ravel(), information, free.ravel(), assumed.ravel())
 
     def n_own(self, camera: int) -> int:
         """Coefficients of one camera."""
