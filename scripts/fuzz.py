@@ -20,7 +20,7 @@ import click
 
 SEEDS = Path(__file__).parents[1] / "tests" / "fuzz_seeds"
 PER_EXAMPLE = 100
-BY_BYTES = ("YAML bytes", "PNG, JPEG", "ROS 1 bag", "MCAP", "ROS 2 db3")
+BY_BYTES = ("YAML bytes", "images", "ROS 1 bag", "MCAP", "ROS 2 db3")
 BY_STRUCTURE = (
     "dataset.yaml",
     "rig.yaml",
@@ -230,7 +230,7 @@ def _by_bytes(name: str, inputs: int, seed: int, result: Path) -> None:
         "-rss_limit_mb=0",
         "-verbosity=0",
     ]
-    atheris.Setup(["fuzz", *options, str(corpus)], one, custom_mutator=mutate if name == "PNG, JPEG" else None)
+    atheris.Setup(["fuzz", *options, str(corpus)], one, custom_mutator=mutate if name == "images" else None)
     atheris.Fuzz()
 
 

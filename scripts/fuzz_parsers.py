@@ -41,8 +41,24 @@ DATASET: dict[str, Any] = {
     "format": "rgbd-calib/dataset",
     "version": 1,
     "depth_scale": 0.001,
-    "depth_registered": True,
-    "cameras": {"C1": {"width": 8, "height": 6, "serial": "14", "intrinsics": LENS}, "C2": {"width": 8, "height": 6}},
+    "depth_registered": False,
+    "synchronous": True,
+    "files": {"color": "{camera}/color/{frame}.png", "depth": "{camera}/depth/{frame}.png"},
+    "cameras": {
+        "C1": {"width": 8, "height": 6, "serial": "14", "intrinsics": LENS},
+        "C2": {
+            "width": 8,
+            "height": 6,
+            "depth": {
+                "width": 4,
+                "height": 3,
+                "intrinsics": LENS | {"width": 4, "height": 3, "sd": [1.0] * 9},
+                "T_color_depth": EYE,
+                "scale_m": 0.001,
+                "invalid": [7],
+            },
+        },
+    },
     "board": {"type": "checkerboard", "cols": 9, "rows": 6, "square": 0.06, "two_sided": True, "thickness": 0.006},
 }
 RIG: dict[str, Any] = {
@@ -175,7 +191,8 @@ def parsers(folder: Path) -> dict[str, Parser]:
 
     def all_of_recording(path: Path) -> object:
         opened = open_recording(path.parent)
-        return [opened.color(c, f) for c in opened.cameras for f in opened.color_files[c]], opened.frames
+        kinds = ((opened.color_files, opened.color), (opened.depth_files, opened.depth_own_m))
+        return [read(c, f) for files, read in kinds for c in opened.cameras for f in files[c]], opened.remarks
 
     def all_of_rig(path: Path) -> object:
         parts = (
@@ -217,7 +234,7 @@ def parsers(folder: Path) -> dict[str, Parser]:
     made.append(Parser("rgb.txt", from_file(folder / "tum" / "rgb.txt", tum), (rgb_txt,), table=words))
     bytes_of_yaml = tuple(dump_yaml(tree).encode() for tree in (DATASET, CAPTURE)) + (b"a: &a {b: 1}\nc: {<<: *a}\n",)
     made.append(Parser("YAML bytes", from_file(others / "any.yaml", load_yaml), bytes_of_yaml))
-    made.append(Parser("PNG, JPEG", lambda data: decode_image(data, "image"), image_seeds()))
+    made.append(Parser("images", lambda data: decode_image(data, "image"), image_seeds()))
     return {parser.name: parser for parser in made} | _bag_parsers(folder)
 
 
@@ -236,6 +253,14 @@ def image_seeds() -> tuple[bytes, ...]:
     out += [cv2.imencode(".jpg", i)[1].tobytes() for i in (color, color[..., 0])]
     from PIL import Image
 
+    for array in (color, depth, depth.astype(np.float32)):
+        for compression in (1, 5, 8):  # none, LZW, deflate
+            out.append(cv2.imencode(".tiff", array, [cv2.IMWRITE_TIFF_COMPRESSION, compression])[1].tobytes())
+    out += [cv2.imencode(s, color)[1].tobytes() for s in (".bmp", ".ppm")] + [cv2.imencode(".pgm", depth)[1].tobytes()]
+    for array in (depth, depth.astype(np.float32)):
+        stream = io.BytesIO()
+        np.save(stream, array)
+        out.append(stream.getvalue())
     for mode, options in (("P", {"transparency": b"\0\1"}), ("1", {}), ("LA", {}), ("CMYK", {"format": "JPEG"})):
         stream = io.BytesIO()
         exif = Image.Exif()
@@ -248,7 +273,10 @@ def image_seeds() -> tuple[bytes, ...]:
 def _recording(folder: Path) -> Path:
     for camera in ("C1", "C2"):
         (folder / camera / "color").mkdir(parents=True)
+        (folder / camera / "depth").mkdir(parents=True)
         cv2.imwrite(str(folder / camera / "color" / "000000.png"), np.zeros((6, 8, 3), np.uint8))
+        size = (6, 8) if camera == "C1" else (3, 4)
+        cv2.imwrite(str(folder / camera / "depth" / "000000.png"), np.full(size, 900, np.uint16))
     (folder / "dataset.yaml").write_text(dump_yaml(DATASET))
     return folder
 

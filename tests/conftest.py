@@ -119,9 +119,8 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Tiny:
             save_color(path, name, frame, np.full((height, width, 3), colors_bgr[name], np.uint8))
             if name == "C1" or (name == "C2" and frame == "000000"):
                 save_depth(path, name, frame, np.rint(measured_m / 0.0005).astype(np.uint16))
-    write_dataset(
-        path, {name: CameraInfo(width, height, 0.0005) for name in poses}, Board(9, 6, 0.06), {"note": "kept"}
-    )
+    infos = {name: CameraInfo(width, height, *([] if name == "C3" else [0.0005])) for name in poses}
+    write_dataset(path, infos, Board(9, 6, 0.06), {"notes": "kept"})
     write_rig(path.parent / "rig.yaml", rig)
     return Tiny(path, path.parent / "rig.yaml", rig, normal, offset_m, colors_bgr)
 

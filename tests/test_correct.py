@@ -26,7 +26,7 @@ def test_depth_is_what_the_bias_says_to_half_a_unit(run, tiny, tmp_path):
     outcome = corrected(run, tiny, tmp_path / "out")
     assert "C3: 2 colour, 0 depth images" in outcome.stderr
     before, after = open_recording(tiny.recording), open_recording(tmp_path / "out")
-    assert after.frames == before.frames and after.extra["note"] == "kept"
+    assert after.frames == before.frames and after.extra["notes"] == "kept"
     for camera in ("C1", "C2"):
         assert list(after.depth_files[camera]) == list(before.depth_files[camera])
         for frame in before.depth_files[camera]:

@@ -115,7 +115,7 @@ def test_absurd_boards(recording, key, value):
     data = load_yaml(recording / "dataset.yaml")
     data["board"][key] = value
     (recording / "dataset.yaml").write_text(dump_yaml(data))
-    refused(recording, f"dataset.yaml: board.{key}: .* seen")
+    refused(recording, f"dataset.yaml: line \\d+: board.{key}: .* seen")
 
 
 def test_a_camera_twice(recording):
@@ -235,11 +235,11 @@ def test_a_bomb_is_measured_before_it_is_decoded(recording):
     assert read_image(path).shape == (6, 8, 3)
 
 
-@pytest.mark.parametrize("kind", ["TIFF", "GIF", "BMP", "PPM"])
+@pytest.mark.parametrize("kind", ["GIF", "ICO", "TGA", "WEBP"])
 def test_other_formats_under_the_name_of_png(kind):
     stream = io.BytesIO()
     Image.new("RGB", (8, 6)).save(stream, kind)
-    with pytest.raises(ConfigError, match="neither as PNG nor as JPEG"):
+    with pytest.raises(ConfigError, match="begin as none of PNG, JPEG"):
         decode_image(stream.getvalue(), "a.png")
 
 

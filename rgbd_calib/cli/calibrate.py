@@ -155,11 +155,13 @@ def command(
     from rgbd_calib.pipeline.calibrate import calibrate, reference_of
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.detection import detections_from
-    from rgbd_calib.pipeline.prepare import check_sources
+    from rgbd_calib.pipeline.prepare import check_sources, check_together
     from rgbd_calib.pipeline.world import in_world
     from rgbd_calib.trust.verdict import judge
 
     opened = open_recording(recording)
+    for remark in opened.remarks:
+        say(f"Warning: {remark}")
     if world in opened.cameras:
         if reference not in (None, world):
             raise click.UsageError(f"--world {world} and --reference {reference}: one camera only can be the world")
@@ -179,6 +181,7 @@ def command(
             "Leave them out, or choose another --method"
         )
     reference_of(settings, list(opened.cameras))
+    check_together(opened)
     check_sources(opened, intrinsics, depth_bias)
     found = detections_from(opened, corners, settings.detect, workers, progress)
     result = calibrate(

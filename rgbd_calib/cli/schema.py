@@ -7,7 +7,7 @@ import click
 from rgbd_calib.errors import ConfigError
 
 MODELS = {
-    "dataset": ("rgbd_calib.io.schemas", "DatasetModel", "dataset.yaml of a recording"),
+    "dataset": ("rgbd_calib.io.dataset", "DatasetModel", "dataset.yaml of a recording"),
     "rig": ("rgbd_calib.io.schemas", "RigModel", "rig.yaml, intrinsics.yaml, depth_bias.yaml, truth.yaml"),
     "config": ("rgbd_calib.pipeline.config", "Config", "the file of --config"),
 }

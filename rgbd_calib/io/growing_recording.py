@@ -13,7 +13,7 @@ import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -21,7 +21,7 @@ import numpy as np
 
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry.camera import Intrinsics
-from rgbd_calib.io.recording import CameraInfo, open_recording, write_dataset
+from rgbd_calib.io.recording import CameraInfo, DepthGeometry, open_recording, write_dataset
 from rgbd_calib.io.schema_base import check_name
 from rgbd_calib.io.tables import short
 from rgbd_calib.types import Board
@@ -149,19 +149,36 @@ class GrowingRecording:
         return [(hidden, path) for hidden, path, _ in jobs]
 
     def _list_new_cameras(self, images: Mapping[str, CameraImages]) -> None:
-        new = {c: shot.color.shape for c, shot in images.items() if c not in self._cameras}
-        if not new:
-            return
-        for camera, (height, width, _) in new.items():
-            self._cameras[camera] = CameraInfo(
-                width, height, self._depth_scale, self._serials.get(camera), self._intrinsics.get(camera)
+        """Bring dataset.yaml up to date before the first image of a camera, and before its first depth."""
+        now = dict(self._cameras)
+        for camera, shot in images.items():
+            height, width = shot.color.shape[:2]
+            info = now.get(camera) or CameraInfo(
+                width, height, serial=self._serials.get(camera), intrinsics=self._intrinsics.get(camera)
             )
-        self._write_dataset()
+            if shot.depth_raw is not None and not info.depth_stated:
+                height, width = shot.depth_raw.shape
+                own = None if self._registered else DepthGeometry(width, height)
+                info = replace(info, depth_scale=self._depth_scale, depth_stated=True, depth=own)
+            if shot.depth_raw is not None and info.depth_scale != self._depth_scale:
+                raise ConfigError(
+                    f"{self.folder / 'dataset.yaml'}: {camera}: {info.depth_scale} m for each unit of depth there, the camera "
+                    f"gives {self._depth_scale}. Set the camera to the same unit, or record into another folder"
+                )
+            now[camera] = info
+        if now != self._cameras:
+            self._cameras = now
+            self._write_dataset()
 
     def _unlist_empty_cameras(self) -> None:
-        """Take cameras without images out of dataset.yaml again: their first frame set could not be written."""
+        """Take what has no images out of dataset.yaml again: cameras, or their depth, that could not be written."""
         with self._lock:
-            there = {c: info for c, info in self._cameras.items() if any((self.folder / c / "color").glob("[!.]*"))}
+            there = {}
+            for camera, info in self._cameras.items():
+                depth = any((self.folder / camera / "depth").glob("[!.]*"))
+                if any((self.folder / camera / "color").glob("[!.]*")):
+                    bare = CameraInfo(info.width, info.height, serial=info.serial, intrinsics=info.intrinsics)
+                    there[camera] = info if depth or not info.depth_stated else bare
             if there == self._cameras:
                 return
             self._cameras = there
@@ -172,8 +189,7 @@ class GrowingRecording:
                 (self.folder / "dataset.yaml").unlink(missing_ok=True)
 
     def _write_dataset(self) -> None:
-        extra = {} if self._registered else {"depth_registered": False}
-        write_dataset(self.folder, dict(sorted(self._cameras.items())), self._board, extra)
+        write_dataset(self.folder, dict(sorted(self._cameras.items())), self._board)
 
     def _lines(
         self, frame: str, images: Mapping[str, CameraImages], spread_us: int | None

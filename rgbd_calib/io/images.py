@@ -1,8 +1,9 @@
-"""Images of recordings: PNG and JPEG, by their content, with the size checked before anything is decoded."""
+"""Images of recordings: PNG, JPEG, TIFF, BMP, PNM and NPY, by content; the size is checked before anything is decoded."""
 
 from __future__ import annotations
 
 import io
+import warnings
 from pathlib import Path
 
 import cv2
@@ -16,11 +17,14 @@ MAX_BYTES = 256 << 20
 """MAX_SIDE x MAX_SIDE pixels of 3 bytes, not compressed."""
 _CONVERTED = {"P": "RGBA", "PA": "RGBA", "1": "RGB", "LA": "RGB", "CMYK": "RGB", "YCbCr": "RGB"}
 """How Pillow's modes other than grey, R G B and R G B A are read; a palette may hold transparency."""
-_PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
+_PNG, _JPEG, _NPY = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"\x93NUMPY"
+_TIFF, _BMP, _PNM = (b"II*\0", b"MM\0*"), b"BM", (b"P5", b"P6")
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm")
+DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".pgm")
 
 
 def read_image(path: Path, size: tuple[int, int] | None = None, who: str = "") -> np.ndarray:
-    """The image (height, width) or (height, width, 3 or 4) in a file; R G B where it has colours.
+    """The image (height, width) or (height, width, 3 or 4) in a file; R G B where it has colours, of the file's type.
 
     Parameters
     ----------
@@ -32,7 +36,7 @@ def read_image(path: Path, size: tuple[int, int] | None = None, who: str = "") -
     Raises
     ------
     ConfigError
-        No such file, damaged, neither PNG nor JPEG, or of another size.
+        No such file, damaged, of no kind that is read, or of another size.
     """
     return decode_image(read_bytes(path, MAX_BYTES), str(path), size, who)
 
@@ -40,17 +44,26 @@ def read_image(path: Path, size: tuple[int, int] | None = None, who: str = "") -
 def decode_image(data: bytes, where: str, size: tuple[int, int] | None = None, who: str = "") -> np.ndarray:
     """As :func:`read_image`, of a file's bytes; `where` names them in errors."""
     try:
-        with _opened(data) as image:
-            _check_size(where, image.size, size, who)
-            image.load()  # raises where the file ends early, which cv2.imread would not
-            array = np.array(image if image.mode not in _CONVERTED else image.convert(_CONVERTED[image.mode]))
+        if data.startswith(_NPY):
+            return _decode_npy(data, where, size, who)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow's, of odd tags in TIFF
+            with open_image(data) as image:
+                _check_size(where, image.size, size, who)
+                if getattr(image, "n_frames", 1) != 1:
+                    raise ValueError("several images in one file; one is needed")
+                image.load()  # raises where the file ends early, which cv2.imread would not
+                array = np.array(image if image.mode not in _CONVERTED else image.convert(_CONVERTED[image.mode]))
     except ConfigError:
         raise
     except (
         Exception
     ) as error:  # a decoder raises anything on bytes that were made to: struct.error, EOFError, zlib.error
-        raise ConfigError(f"{where}: damaged or no image ({error}). Delete it, or copy the recording again") from error
-    return array.astype(np.uint16) if array.dtype == np.int32 and array.max() < 65536 else array
+        why = " ".join(str(error).split())[:200] or type(error).__name__
+        raise ConfigError(f"{where}: damaged or no image ({why}). Delete it, or copy the recording again") from error
+    array = array.astype(array.dtype.newbyteorder("="), copy=False)
+    whole = array.dtype == np.int32 and array.size and array.min() >= 0 and array.max() < 65536
+    return array.astype(np.uint16) if whole else array
 
 
 def as_bgr(image: np.ndarray) -> np.ndarray:
@@ -67,17 +80,37 @@ def write_image(path: Path, image: np.ndarray) -> None:
         temporary.write_bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
 
 
-def _opened(data: bytes):  # type: ignore[no-untyped-def]
+def open_image(data: bytes):  # type: ignore[no-untyped-def]
     """The image with its header read, by the decoder that its first bytes name: no other of Pillow's is let near it."""
+    from PIL.BmpImagePlugin import BmpImageFile
     from PIL.JpegImagePlugin import JpegImageFile
     from PIL.PngImagePlugin import PngImageFile
+    from PIL.PpmImagePlugin import PpmImageFile
+    from PIL.TiffImagePlugin import TiffImageFile
 
     if data.startswith(_PNG):
         return PngImageFile(io.BytesIO(data))
     if data.startswith(_JPEG):
         # Pillow reads EXIF data on opening, and warns of what is wrong in them
         return JpegImageFile(io.BytesIO(data.replace(b"Exif\x00\x00", b"none\x00\x00")))
-    raise ValueError(f"{len(data)} bytes that begin neither as PNG nor as JPEG")
+    for start, kind in ((_TIFF, TiffImageFile), (_BMP, BmpImageFile), (_PNM, PpmImageFile)):
+        if data.startswith(start):
+            return kind(io.BytesIO(data))
+    raise ValueError(f"{len(data)} bytes that begin as none of PNG, JPEG, TIFF, BMP, PNM, NPY")
+
+
+def _decode_npy(data: bytes, where: str, size: tuple[int, int] | None, who: str) -> np.ndarray:
+    """The array of a .npy file, its shape checked before it is made."""
+    stream = io.BytesIO(data)
+    version = np.lib.format.read_magic(stream)
+    read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
+    shape, _, dtype = read_header(stream)
+    if len(shape) == 3 and shape[2] == 1:
+        shape = shape[:2]
+    if len(shape) not in (2, 3) or dtype.kind not in "uif" or min(shape) < 1:
+        raise ValueError(f"an array {shape} of {dtype}; numbers (height, width) are needed")
+    _check_size(where, (shape[1], shape[0]), size, who)
+    return np.load(io.BytesIO(data), allow_pickle=False).reshape(shape)
 
 
 def _check_size(where: str, seen: tuple[int, int], size: tuple[int, int] | None, who: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,29 +12,20 @@ from typing import Any, TypeVar
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
-from rgbd_calib.geometry.camera import Intrinsics
-from rgbd_calib.io.files import dump_yaml, load_yaml, read_bytes, write_text
+from rgbd_calib.io.dataset import CameraInfo as CameraInfo
+from rgbd_calib.io.dataset import DepthGeometry as DepthGeometry
+from rgbd_calib.io.dataset import read_dataset
+from rgbd_calib.io.dataset import write_dataset as write_dataset
+from rgbd_calib.io.depth_files import depth_in_m, read_depth_raw
+from rgbd_calib.io.files import read_bytes
 from rgbd_calib.io.images import MAX_BYTES, as_bgr, read_image, write_image
-from rgbd_calib.io.schema_base import parse
-from rgbd_calib.io.schema_parts import BoardModel, IntrinsicsModel
-from rgbd_calib.io.schemas import DatasetModel
+from rgbd_calib.io.layout import FilePatterns, Files, Kind, describe_unused, find_files, find_unused
 from rgbd_calib.io.tables import number, number_or_nan, read_table, short
 from rgbd_calib.io.tables import write_table as write_table
 from rgbd_calib.types import Board
 
 T = TypeVar("T")
-SUFFIXES = (".png", ".jpg", ".jpeg")
-
-
-@dataclass(frozen=True)
-class CameraInfo:
-    """What dataset.yaml says of a camera; `depth_scale` is metres for each unit of its depth images."""
-
-    width: int
-    height: int
-    depth_scale: float = 0.001
-    serial: str | None = None
-    intrinsics: Intrinsics | None = None
+_REMEDY = "Write where they are with `rgbd-calib init`, or convert them with `rgbd-calib import`"
 
 
 @dataclass(frozen=True)
@@ -45,30 +36,62 @@ class Recording:
     cameras: dict[str, CameraInfo]
     board: Board | None
     extra: dict[str, Any]
-    """Keys of dataset.yaml that this program gives no meaning to."""
+    """Keys of dataset.yaml that have no meaning for the images."""
+    files: FilePatterns | None = None
+    """Where the images lie, if not in CAM/color and CAM/depth."""
+    synchronous: bool = True
+    """Equal stems are the same instant."""
+    listed: Mapping[Kind, Files] | None = field(default=None, repr=False)
+    """The images, where they are known; None: those in the folder."""
 
     @cached_property
-    def color_files(self) -> dict[str, dict[str, Path]]:
+    def _files(self) -> Mapping[Kind, Files]:
+        return self.listed or find_files(self.path, list(self.cameras), self.files)
+
+    @property
+    def color_files(self) -> Files:
         """Colour files by camera and frame, frames in order."""
-        return {camera: _images(self.path / camera / "color", SUFFIXES) for camera in self.cameras}
+        return self._files["color"]
 
-    @cached_property
-    def depth_files(self) -> dict[str, dict[str, Path]]:
+    @property
+    def depth_files(self) -> Files:
         """Depth files by camera and frame."""
-        return {camera: _images(self.path / camera / "depth", (".png",)) for camera in self.cameras}
+        return self._files["depth"]
+
+    @property
+    def ir_files(self) -> Files:
+        """Infrared files by camera and frame; they have the geometry of the camera's depth."""
+        return self._files["ir"]
+
+    @property
+    def depth_registered(self) -> bool:
+        """Depth of every camera has the geometry of its colour image."""
+        return all(info.depth is None for info in self.cameras.values())
 
     @property
     def frames(self) -> tuple[str, ...]:
         """Stems of all frames of all cameras, in order."""
         return tuple(sorted({frame for files in self.color_files.values() for frame in files}))
 
+    @cached_property
+    def unused(self) -> tuple[str, ...]:
+        """Files under the cameras that are not read, as paths in the recording."""
+        return find_unused(self.path, list(self.cameras), self.files, self._files)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What whoever uses the recording should know, a sentence each."""
+        if not self.unused:
+            return ()
+        return (f"{self.path}: {len(self.unused)} files are not read: {describe_unused(self.unused)}",)
+
     def only(self, camera: str, frame: str) -> Recording:
         """The recording of this image alone: little to send to another process."""
-        one = replace(self, cameras={camera: self.cameras[camera]}, extra={})
-        depth = self.depth_files[camera]
-        vars(one)["color_files"] = {camera: {frame: self.color_files[camera][frame]}}
-        vars(one)["depth_files"] = {camera: {frame: depth[frame]} if frame in depth else {}}
-        return one
+        listed: dict[Kind, Files] = {
+            kind: {camera: {frame: files[camera][frame]} if frame in files[camera] else {}}
+            for kind, files in self._files.items()
+        }
+        return replace(self, cameras={camera: self.cameras[camera]}, extra={}, listed=listed)
 
     def color(self, camera: str, frame: str) -> np.ndarray:
         """Colour image (height, width, 3), uint8, B G R.
@@ -79,7 +102,8 @@ class Recording:
             The file is damaged, or of another size than dataset.yaml says.
         """
         path = self.color_files[camera][frame]
-        image = read_image(path, self._size(camera), "dataset.yaml says")
+        info = self.cameras[camera]
+        image = read_image(path, (info.width, info.height), "dataset.yaml says")
         if image.dtype != np.uint8:
             raise ConfigError(
                 f"{path}: {image.dtype.itemsize * 8} bits a channel seen, 8 needed for colour. Convert it"
@@ -90,22 +114,51 @@ class Recording:
         return frame in self.depth_files[camera]
 
     def depth_m(self, camera: str, frame: str) -> np.ndarray:
-        """Depth (height, width), float64, metres as measured, NaN where there is none.
+        """Depth registered to colour (height, width), float64, metres as measured, NaN where there is none.
 
         Raises
         ------
         ConfigError
-            The file is damaged, not 16-bit with one channel, or of another size than the colour image.
+            Depth of this camera is not registered to colour (see :meth:`depth_own_m`); the file is damaged, no depth image,
+            or of another size than the colour image.
         """
-        path = self.depth_files[camera][frame]
-        depth_raw = read_image(path, self._size(camera), "the colour image has")
-        if depth_raw.dtype != np.uint16 or depth_raw.ndim != 2:
-            channels = 1 if depth_raw.ndim == 2 else depth_raw.shape[2]
+        if self.cameras[camera].depth is not None:
             raise ConfigError(
-                f"{path}: {depth_raw.dtype.itemsize * 8} bits and {channels} channel(s) seen, depth needs 16 bits and one. "
-                "Save the sensor's depth as a 16-bit greyscale PNG, not a picture of it"
+                f"{self.path}: depth of camera {camera} is not registered to colour, and registered depth is needed here. "
+                "Register it with the sensor's own software, or leave its depth folder out"
             )
-        return np.where(depth_raw == 0, np.nan, depth_raw * self.cameras[camera].depth_scale)
+        return self.depth_own_m(camera, frame)
+
+    def depth_own_m(self, camera: str, frame: str) -> np.ndarray:
+        """Depth in its own geometry (height, width), float64, metres as measured, NaN where there is none.
+
+        Raises
+        ------
+        ConfigError
+            The file is damaged, no depth image, or of another size than the camera's depth has.
+        """
+        path, info = self.depth_files[camera][frame], self.cameras[camera]
+        who = "the colour image has" if info.depth is None else "dataset.yaml says for depth"
+        raw = read_depth_raw(path, info.depth_size, who)
+        return depth_in_m(raw, info.depth_scale, info.float_unit_m, info.invalid, str(path))
+
+    def ir(self, camera: str, frame: str) -> np.ndarray:
+        """Infrared image (height, width), uint8 or uint16, in the geometry of the camera's depth.
+
+        Raises
+        ------
+        ConfigError
+            The file is damaged, has several channels, or is of another size than the camera's depth.
+        """
+        path, info = self.ir_files[camera][frame], self.cameras[camera]
+        image = read_image(path, info.depth_size, "depth has")
+        if image.ndim == 3 and image.dtype == np.uint8 and np.array_equal(image[..., 0], image[..., 1]):
+            image = image[..., 0]  # grey, saved as colour
+        if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+            raise ConfigError(
+                f"{path}: {image.dtype}, {image.ndim} dimensions seen, 8 or 16 bits and one channel needed"
+            )
+        return image
 
     def distances_m(self, camera: str) -> dict[str, float]:
         """Wall distances by frame from distances.csv, metres; empty where there is no such file."""
@@ -136,15 +189,12 @@ class Recording:
     def digest(self) -> str:
         """SHA-256 over names and contents of dataset.yaml and all images: says which recording a result is from."""
         total = hashlib.sha256((self.path / "dataset.yaml").read_bytes())
-        for files in (self.color_files, self.depth_files):
+        for files in (self.color_files, self.depth_files, self.ir_files):
             for camera in files:
                 for path in files[camera].values():
                     total.update(str(path.relative_to(self.path)).encode())
                     total.update(hashlib.sha256(read_bytes(path, MAX_BYTES)).digest())
         return total.hexdigest()
-
-    def _size(self, camera: str) -> tuple[int, int]:
-        return self.cameras[camera].width, self.cameras[camera].height
 
 
 def open_recording(path: Path) -> Recording:
@@ -153,58 +203,71 @@ def open_recording(path: Path) -> Recording:
     Raises
     ------
     ConfigError
-        No such folder or file, a wrong key, a camera without images, depth that is not registered.
+        No such folder or file, a wrong key, a camera without images, depth that is expected and cannot be read.
     """
     if not path.is_dir():
         raise ConfigError(f"{path}: no such folder. A recording is a folder with dataset.yaml and one folder a camera")
     if not (path / "dataset.yaml").exists():
         inside = [p.parent.name for p in sorted(path.glob("*/dataset.yaml"))]
-        hint = f"Did you mean one of {', '.join(str(path / name) for name in inside)}?" if inside else "Add one"
+        hint = (
+            f"Did you mean one of {', '.join(str(path / name) for name in inside)}?"
+            if inside
+            else "Write one with `rgbd-calib init`"
+        )
         raise ConfigError(f"{path}: no dataset.yaml in it. {hint}")
-    data = load_yaml(path / "dataset.yaml")
-    model = parse(DatasetModel, data, path / "dataset.yaml")
-    if not model.depth_registered:
-        raise ConfigError(
-            f"{path / 'dataset.yaml'}: depth_registered is false; depth must be registered to the colour image. "
-            "Register it with the sensor's own software, or record it again with `rgbd-calib capture`"
-        )
-    cameras = {
-        name: CameraInfo(
-            camera.width,
-            camera.height,
-            camera.depth_scale or model.depth_scale,
-            camera.serial,
-            camera.intrinsics.value() if camera.intrinsics else None,
-        )
-        for name, camera in model.cameras.items()
-    }
-    board = model.board.value() if model.board else None
-    recording = Recording(path, cameras, board, dict(model.model_extra or {}))
+    data = read_dataset(path / "dataset.yaml")
+    recording = Recording(path, data.cameras, data.board, data.extra, data.files, data.synchronous)
     for camera, files in recording.color_files.items():
         if not files:
+            where = f"{path / camera / 'color'}/*.png" if data.files is None else data.files.color
             raise ConfigError(
-                f"{path}: camera {camera} of dataset.yaml has no images; {path / camera / 'color'}/*.png needed. "
-                "Record it, or take it out of dataset.yaml"
+                f"{path}: camera {camera} of dataset.yaml has no images; {where} needed, {_seen(recording, camera)}. "
+                f"{_REMEDY}, or take the camera out of dataset.yaml"
             )
+    _check_depth(recording, data.depth_stated)
     return recording
 
 
-def write_dataset(
-    folder: Path, cameras: Mapping[str, CameraInfo], board: Board | None, extra: Mapping[str, Any] | None = None
-) -> None:
-    """Write dataset.yaml into `folder`; the depth scale stands with each camera."""
-    listed: dict[str, Any] = {}
-    for name, info in cameras.items():
-        entry: dict[str, Any] = {"width": info.width, "height": info.height, "depth_scale": info.depth_scale}
-        if info.serial is not None:
-            entry["serial"] = info.serial
-        if info.intrinsics is not None:
-            entry["intrinsics"] = IntrinsicsModel.of(info.intrinsics).model_dump()
-        listed[name] = entry
-    data: dict[str, Any] = {"format": "rgbd-calib/dataset", "version": 1, "depth_registered": True, "cameras": listed}
-    if board is not None:
-        data["board"] = BoardModel.of(board).model_dump(exclude_none=True)
-    write_text(folder / "dataset.yaml", dump_yaml(data | dict(extra or {})))
+def _check_depth(recording: Recording, stated_for_all: bool) -> None:
+    """Raise ConfigError where depth is expected, since dataset.yaml or a folder speaks of it, and none can be read."""
+    path = recording.path
+    for camera, depth in recording.depth_files.items():
+        color = recording.color_files[camera]
+        if depth and not set(depth) & set(color):
+            raise ConfigError(
+                f"{path}: camera {camera}: none of its {len(depth)} depth images has the name of a colour image: "
+                f"{', '.join([*depth][:3])} and {', '.join([*color][:3])} seen. {_REMEDY}"
+            )
+        if depth:
+            continue
+        stated = recording.cameras[camera].depth_stated
+        expected = "dataset.yaml states its depth" if stated else _depth_folder(path / camera)
+        if expected:
+            raise ConfigError(
+                f"{path}: camera {camera}: {expected}, and no depth image can be read ({_seen(recording, camera)}). {_REMEDY}; if the "
+                "camera has no depth, take that out"
+            )
+    if stated_for_all and not any(recording.depth_files.values()):
+        raise ConfigError(
+            f"{path}: dataset.yaml states a depth scale, and no depth image can be read ({_seen(recording)}). {_REMEDY}; if no "
+            "camera has depth, take depth_scale out"
+        )
+
+
+def _seen(recording: Recording, camera: str = "") -> str:
+    """Files that are not read, those of the camera if it has some."""
+    own = [path for path in recording.unused if path.startswith(f"{camera}/")]
+    unused = own or recording.unused
+    return f"{describe_unused(unused)} seen" if unused else "no other files seen"
+
+
+def _depth_folder(folder: Path) -> str:
+    """What in a camera's folder speaks of depth; empty where nothing does."""
+    try:
+        named = sorted(p.name for p in folder.iterdir() if "depth" in p.name.lower() and not p.name.startswith("."))
+    except OSError:
+        return ""
+    return f"{folder / named[0]} is there" if named else ""
 
 
 def save_color(recording: Path, camera: str, frame: str, image: np.ndarray) -> None:
@@ -215,22 +278,6 @@ def save_color(recording: Path, camera: str, frame: str, image: np.ndarray) -> N
 def save_depth(recording: Path, camera: str, frame: str, depth_raw: np.ndarray) -> None:
     """Write a depth image (h, w), uint16 in units of the camera's depth scale, 0 = none, as PNG."""
     write_image(recording / camera / "depth" / f"{frame}.png", depth_raw)
-
-
-def _images(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
-    """Files by stem, in order. A folder or a file may be a link out of the recording: whoever made it meant it."""
-    if not folder.is_dir():
-        return {}
-    found: dict[str, Path] = {}
-    for path in sorted(p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".")):
-        if not path.stem.isprintable():
-            raise ConfigError(f"{folder}: file {path.name!r} seen, printable characters needed. Rename it")
-        if path.stem in found:
-            raise ConfigError(
-                f"{folder}: {found[path.stem].name} and {path.name} seen, one image a frame needed. Delete one, or move it"
-            )
-        found[path.stem] = path
-    return found
 
 
 def _add_once(out: dict[str, T], path: Path, line: int, frame: str, value: T) -> None:

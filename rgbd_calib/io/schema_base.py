@@ -1,7 +1,7 @@
 """What all schemas share: numbers and names with their limits, the base of the models, and how a file is parsed.
 
-Keys that nobody knows pass, since other programs may keep their own there; a key that looks like a misspelt one is
-an error with the suggestion.
+A key that nobody knows is an error in what people write: dataset.yaml, lenses, boards. In files that this program writes
+it passes, since other programs may keep their own there, unless it looks like a misspelt one.
 """
 
 from __future__ import annotations
@@ -12,9 +12,13 @@ from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
 
 from rgbd_calib.errors import ConfigError
+from rgbd_calib.io.files import read_bytes
+from rgbd_calib.io.safe_yaml import MAX_BYTES
 from rgbd_calib.io.tables import MAX_NAME, short
+from rgbd_calib.io.yaml_lines import line_of
 
 VERSION = 1
 MAX_SIDE = 8192
@@ -83,6 +87,26 @@ class Model(BaseModel):
         return data
 
 
+class Strict(BaseModel):
+    """Of files that people write: no other keys than these."""
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_unknown_key(cls, data: Any) -> Any:
+        unknown = [key for key in data if key not in cls.model_fields] if isinstance(data, dict) else []
+        if unknown:
+            left = [k for k in cls.model_fields if k not in data]
+            near = get_close_matches(str(unknown[0]).lower(), [k.lower() for k in left], 1, 0.6)
+            similar = next((k for k in left if near and k.lower() == near[0]), None)
+            hint = f"did you mean '{similar}'?" if similar else f"known are {', '.join(cls.model_fields)}"
+            others = [short(key) for key in unknown[1:4]] + (["..."] if len(unknown) > 4 else [])
+            named = f"no such key {short(unknown[0])}" + (f", nor {', '.join(others)}" if others else "")
+            raise PydanticCustomError("unknown_key", "{text}", {"text": f"{named}; {hint}", "key": unknown[0]})
+        return data
+
+
 def check_rigid(T: np.ndarray) -> None:
     """Raise ValueError unless T (4, 4) is a rigid motion to 1e-6."""
     R = T[:3, :3]
@@ -117,8 +141,21 @@ def parse(model: type[M], data: dict[str, Any], path: Path) -> M:
         return model.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"] if part != "[key]") or "(top level)"
+        unknown = first.get("ctx", {}).get("key") if first["type"] == "unknown_key" else None
+        place = tuple(part for part in first["loc"] if part != "[key]") + (() if unknown is None else (str(unknown),))
+        loc = place if unknown is None else place[:-1]
+        key = ".".join(map(str, loc)) or "(top level)"
         key = key if key.isprintable() and len(key) < 200 else short(key)
         seen = "" if isinstance(first["input"], dict) else f" {short(first['input'])} seen;"
         more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-        raise ConfigError(f"{path}: {key}:{seen} {first['msg'].removeprefix('Value error, ')}{more}") from None
+        line = find_line(path, place)
+        where = f"{path}: line {line}: {key}" if line else f"{path}: {key}"
+        raise ConfigError(f"{where}:{seen} {first['msg'].removeprefix('Value error, ')}{more}") from None
+
+
+def find_line(path: Path, place: tuple[str | int, ...]) -> int | None:
+    """Line of a key in the file, where the file can still be read."""
+    try:
+        return line_of(read_bytes(path, MAX_BYTES).decode("utf-8"), place)
+    except (ConfigError, UnicodeDecodeError):
+        return None

@@ -19,6 +19,7 @@ from rgbd_calib.io.schema_base import (
     Model,
     Positive,
     Side,
+    Strict,
     Vector3,
     check_rigid,
     no_boolean,
@@ -26,7 +27,7 @@ from rgbd_calib.io.schema_base import (
 from rgbd_calib.types import Board, BoardShape, DepthBias, DepthCamera, DepthField
 
 
-class IntrinsicsModel(Model):
+class IntrinsicsModel(Strict):
     """Pixel (0, 0) is the centre of the top left pixel; distortion has 4, 5, 8, 12 or 14 numbers in OpenCV's order (k1, k2,
     p1, p2, k3, ...), or, of `model: kannala_brandt`, the four of OpenCV's fisheye."""
 
@@ -207,7 +208,7 @@ class DepthCameraModel(Model):
 Points = Annotated[list[Vector3], Field(min_length=4, max_length=MAX_CORNERS**2)]
 
 
-class BoardShapeModel(Model):
+class BoardShapeModel(Strict):
     """A print as measured: all corners in the order r * cols + c of the front, in the board's frame, metres; `back_m` is the
     physical corner behind each, absent on one-sided boards."""
 
@@ -228,7 +229,7 @@ class BoardShapeModel(Model):
         return BoardShape(np.array(self.front_m), back, front_sd, back_sd)
 
 
-class BoardModel(Model):
+class BoardModel(Strict):
     """`cols` and `rows` count inner corners; `square`, `thickness` and `marker` are metres."""
 
     type: Literal["checkerboard", "charuco"] = "checkerboard"

@@ -1,4 +1,4 @@
-"""The YAML files as pydantic models: one place says which keys there are, and JSON Schemas are published from it."""
+"""rig.yaml as a pydantic model: one place says which keys there are, and a JSON Schema is published from it."""
 
 from __future__ import annotations
 
@@ -9,62 +9,22 @@ from pydantic import Field, model_validator
 
 from rgbd_calib.geometry import so3
 from rgbd_calib.io.schema_base import (
-    DepthUnit,
     Finite,
     Matrix4,
     Matrix6,
     Model,
     Name,
-    Side,
     Vector3,
     Vector4,
     check_rigid,
 )
 from rgbd_calib.io.schema_parts import (
-    BoardModel,
     DepthBiasModel,
     DepthCameraModel,
     GridFieldModel,
     IntrinsicsModel,
     PolynomialFieldModel,
 )
-
-
-class DatasetCameraModel(Model):
-    width: Side
-    height: Side
-    depth_scale: DepthUnit | None = None
-    serial: str | None = None
-    intrinsics: IntrinsicsModel | None = None
-
-    @model_validator(mode="after")
-    def _sizes(self) -> DatasetCameraModel:
-        own = self.intrinsics
-        if own and (own.width, own.height) != (self.width, self.height):
-            raise ValueError(
-                f"intrinsics are for {own.width}x{own.height} px, the camera has {self.width}x{self.height}"
-            )
-        return self
-
-
-class DatasetModel(Model):
-    """dataset.yaml of a recording."""
-
-    format: Literal["rgbd-calib/dataset"]
-    version: Literal[1]
-    depth_scale: DepthUnit = 0.001
-    depth_registered: bool = True
-    cameras: Annotated[dict[Name, DatasetCameraModel], Field(min_length=1)]
-    board: BoardModel | None = None
-
-    @model_validator(mode="after")
-    def _one_folder_each(self) -> DatasetModel:
-        seen: dict[str, str] = {}
-        for name in self.cameras:
-            other = seen.setdefault(name.casefold(), name)
-            if other != name:
-                raise ValueError(f"cameras {other} and {name} are one folder on disks that know no case. Rename one")
-        return self
 
 
 class RigCameraModel(Model):

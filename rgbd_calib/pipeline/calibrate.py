@@ -21,7 +21,13 @@ from rgbd_calib.pipeline import details, frame_selection
 from rgbd_calib.pipeline.config import Config, as_plain
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.pipeline.evaluate import Evaluation, against_views
-from rgbd_calib.pipeline.prepare import IntrinsicsSource, check_sources, resolve_depth_bias, resolve_intrinsics
+from rgbd_calib.pipeline.prepare import (
+    IntrinsicsSource,
+    check_sources,
+    check_together,
+    resolve_depth_bias,
+    resolve_intrinsics,
+)
 from rgbd_calib.pipeline.quality import bundle_quality, common_quality, finite, refinement_quality, steps_of
 from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.rig.biobjective import RefinementParams, RefinementResult, refine
@@ -181,6 +187,7 @@ def prepare_views(
             f"{recording.path}: 1 camera ({cameras[0]}), two or more needed for a rig. Record the board with another camera, "
             "or calibrate this one alone with `rgbd-calib intrinsics` and `rgbd-calib depth-bias`"
         )
+    check_together(recording)
     check_sources(recording, intrinsics, depth_bias)
     detections = detections or detect(recording, config.detect, workers, progress)
     lenses = resolve_intrinsics(intrinsics, recording, detections, config, workers, progress, intrinsic_detections)

@@ -14,6 +14,7 @@ from rgbd_calib.cameras.depth_bias import DepthBiasParams
 from rgbd_calib.cameras.intrinsics import IntrinsicsParams
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.files import load_yaml
+from rgbd_calib.io.schema_base import find_line
 from rgbd_calib.io.tables import short
 from rgbd_calib.rig.biobjective import RefinementParams
 from rgbd_calib.rig.initialization import InitializationParams
@@ -62,7 +63,7 @@ def load_config(path: Path | None, **over: Any) -> Config:
     """
     data = {} if path is None else load_yaml(path)
     where = str(path) if path else "configuration"
-    _check_keys(Config, data, where, "")
+    _check_keys(Config, data, path, ())
     if "method" in data.get("refinement", {}):
         raise ConfigError(f"{where}: refinement.method: set by `method`, which names all estimators. Move it there")
     for key, value in over.items():
@@ -99,18 +100,25 @@ def with_method(config: Config, method: Method) -> Config:
     return replace(config, method=method)
 
 
-def _check_keys(section: type, data: Any, where: str, prefix: str) -> None:
+def _check_keys(section: type, data: Any, path: Path | None, place: tuple[str, ...]) -> None:
     if not isinstance(data, dict):
-        raise ConfigError(f"{where}: {prefix.rstrip('.')}: {short(data)} seen, a section of keys needed")
+        raise ConfigError(f"{_at(path, place)}: {'.'.join(place)}: {short(data)} seen, a section of keys needed")
     known = {f.name: f for f in fields(section)}
     for key, value in data.items():
+        here = (*place, str(key))
         if key not in known:
             near = get_close_matches(str(key), known, 1)
-            hint = f"Did you mean '{prefix}{near[0]}'?" if near else f"Known: {', '.join(known)}"
-            raise ConfigError(f"{where}: {prefix}{_shown(key)}: no such setting. {hint}")
+            hint = f"Did you mean '{'.'.join((*place, near[0]))}'?" if near else f"Known: {', '.join(known)}"
+            raise ConfigError(f"{_at(path, here)}: {'.'.join((*place, _shown(key)))}: no such setting. {hint}")
         factory = known[key].default_factory
         if is_dataclass(factory):
-            _check_keys(factory, value, where, f"{prefix}{key}.")
+            _check_keys(factory, value, path, here)
+
+
+def _at(path: Path | None, place: tuple[str, ...]) -> str:
+    """The file, and the line of a key in it."""
+    line = None if path is None else find_line(path, place)
+    return f"{path or 'configuration'}" + (f": line {line}" if line else "")
 
 
 def _check_numbers(section: dict[str, Any], where: str, prefix: str) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.io.depth_files import NO_MEASUREMENT
 from rgbd_calib.io.exports.common import without_lens
 from rgbd_calib.io.recording import Recording, save_color, save_depth, write_dataset
 from rgbd_calib.io.rig import write_rig
@@ -99,13 +100,16 @@ def correct(
     """
     cameras = common_cameras(recording, rig)
     fitting = _rig_of_corrected(rig, cameras, undistort)
-    infos = {c: replace(recording.cameras[c], intrinsics=fitting.cameras[c].intrinsics) for c in cameras}
+    infos = {
+        c: replace(recording.cameras[c], intrinsics=fitting.cameras[c].intrinsics, invalid=(), float_unit_m=1.0)
+        for c in cameras
+    }
     maps = {c: undistort_map(rig.cameras[c].intrinsics) if undistort else None for c in cameras}
 
     def do_color(camera: str, frame: str) -> tuple[int, int]:
         source, to = recording.color_files[camera][frame], maps[camera]
         if to is None:
-            target = out / camera / "color" / source.name
+            target = out / camera / "color" / f"{frame}{source.suffix}"
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, target)
         else:
@@ -114,7 +118,8 @@ def correct(
 
     def do_depth(camera: str, frame: str) -> tuple[int, int]:
         info, to = recording.cameras[camera], maps[camera]
-        depth_raw = np.nan_to_num(np.rint(recording.depth_m(camera, frame) / info.depth_scale)).astype(np.uint16)
+        units = np.nan_to_num(np.rint(recording.depth_m(camera, frame) / info.depth_scale))
+        depth_raw = np.where(units < NO_MEASUREMENT, units, 0).astype(np.uint16)
         corrected, lost, held = correct_depth(depth_raw, info.depth_scale, rig.cameras[camera])
         save_depth(out, camera, frame, corrected if to is None else _nearest(corrected, to))
         return lost, held

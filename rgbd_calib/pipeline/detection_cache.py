@@ -37,7 +37,7 @@ _CHUNK = 2**20
 def detector() -> str:
     """What finds boards here: the sources that take part, and the versions of the libraries below them."""
     root = Path(rgbd_calib.__file__).parent
-    read_by = [root / "io" / name for name in ("recording.py", "images.py")]
+    read_by = [root / "io" / name for name in ("recording.py", "images.py", "depth_files.py")]
     sources = hashlib.sha256()
     for path in [
         *sorted(root.glob("views/detect/*.py")),
@@ -66,7 +66,7 @@ def key_of(found: Contents, recording: Recording, camera: str, board: Board | No
         "color": found[0],
         "depth": found[1],
         "size": [info.width, info.height],
-        "depth_scale": info.depth_scale,
+        "depth_unit": [info.depth_scale, info.float_unit_m, list(info.invalid)],
         "board": None if board is None else asdict(replace(board, shape=None)),
         "params": asdict(params),
         "detector": detector(),

@@ -117,7 +117,9 @@ def examine(
     stamps = {c: rows for c in recording.cameras if (rows := recording.timestamps_us(c))}
     findings = [
         *_damaged(looks),
+        *_check_files(recording),
         *doctor.check_frames(color, depth, params),
+        *([] if walls else doctor.check_stems(color, stamps)),
         *([] if walls else doctor.check_timestamps(stamps, params)),
     ]
     if board is None:
@@ -166,7 +168,8 @@ def _look(task: _Task) -> _Look:
     except ConfigError as error:
         problems.append(str(error))
     try:
-        depth_m = recording.depth_m(*key) if recording.has_depth(*key) else None
+        registered = recording.cameras[key[0]].depth is None
+        depth_m = recording.depth_m(*key) if registered and recording.has_depth(*key) else None
     except ConfigError as error:
         problems.append(str(error))
     if color is None:
@@ -179,6 +182,19 @@ def _look(task: _Task) -> _Look:
     measures = None if view is None else doctor.measure_view(gray, depth_m, view, board)
     hashes = contents(recording, *key) if task.hashed and not problems else None
     return _Look(key, tuple(problems), image, view, measures, hashes, detector())
+
+
+def _check_files(recording: Recording) -> list[Finding]:
+    """Files that nobody reads, and depth that is not registered to colour."""
+    findings = [Finding("not read", (), (), False, remark) for remark in recording.remarks]
+    own = tuple(c for c, info in recording.cameras.items() if info.depth is not None)
+    if own:
+        text = (
+            f"{', '.join(own)}: depth is not registered to colour; it is not looked at here. Register it with the sensor's own "
+            "software where registered depth is needed"
+        )
+        findings.append(Finding("not registered", own, (), False, text))
+    return findings
 
 
 def _damaged(looks: Iterable[_Look]) -> list[Finding]:

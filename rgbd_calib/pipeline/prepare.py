@@ -22,6 +22,7 @@ from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect
 from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.types import BoardView, DepthBias
 from rgbd_calib.views.board_pose import pose_view
+from rgbd_calib.views.doctor import check_stems
 
 
 def intrinsics_of_views(
@@ -58,6 +59,24 @@ class IntrinsicsSource:
     """Of an intrinsic recording; the calibrated recording's own views are not listed again."""
     standard_deviations: dict[str, np.ndarray]
     """(9,) by camera, where a file has them."""
+
+
+def check_together(recording: Recording) -> None:
+    """Refuse a recording whose frames do not say what was simultaneous.
+
+    Raises
+    ------
+    CalibrationError
+        A camera shares no frame name with any other, or dataset.yaml says that equal names are not one instant.
+    """
+    if not recording.synchronous:
+        raise CalibrationError(
+            f"{recording.path / 'dataset.yaml'}: synchronous is false, and frames of one instant are needed. Join frames by "
+            "time with `rgbd-calib import RECORDING -o NEW --match timestamp`"
+        )
+    color = {c: tuple(files) for c, files in recording.color_files.items()}
+    for apart in check_stems(color, {c: recording.timestamps_us(c) for c in recording.cameras}):
+        raise CalibrationError(f"{recording.path}: {apart.sentence}")
 
 
 def check_sources(recording: Recording, intrinsics: Path | None, depth_bias: Path | None) -> None:

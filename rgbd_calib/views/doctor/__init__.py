@@ -8,6 +8,7 @@ from rgbd_calib.views.doctor.checks import (
     check_exposure,
     check_frames,
     check_sharpness,
+    check_stems,
     check_timestamps,
 )
 from rgbd_calib.views.doctor.findings import Finding, listed
@@ -32,6 +33,7 @@ __all__ = [
     "check_exposure",
     "check_frames",
     "check_sharpness",
+    "check_stems",
     "check_timestamps",
     "hull_mask",
     "listed",

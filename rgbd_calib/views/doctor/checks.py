@@ -88,6 +88,41 @@ def check_frames(
     return findings
 
 
+def check_stems(
+    color: Mapping[str, Sequence[str]], stamps_us: Mapping[str, Mapping[str, tuple[float, float]]]
+) -> list[Finding]:
+    """Cameras whose frames never have the name of another camera's, so that nothing says what was simultaneous.
+
+    Where no two cameras share a name and their times do not overlap, each was filmed by itself: nothing to find.
+    """
+    names = {c: set(frames) for c, frames in color.items() if frames}
+    alone = [c for c in names if not any(names[c] & names[other] for other in names if other != c)]
+    if len(names) < 2 or not alone:
+        return []
+    times = {c: [t for t, _ in stamps_us.get(c, {}).values() if np.isfinite(t)] for c in names}
+    spans = {c: (min(own), max(own)) for c, own in times.items() if own}
+    together = any(
+        spans[c][0] <= spans[o][1] and spans[o][0] <= spans[c][1] for c in alone if c in spans for o in spans if o != c
+    )
+    all_alone = len(alone) == len(names)
+    if all_alone and len(spans) == len(names) and not together:
+        return []
+    shown = "; ".join(f"{c}: {', '.join(sorted(own)[:3])}" for c, own in names.items())
+    join = "`rgbd-calib import RECORDING -o NEW --match"
+    if together:
+        remedy = f"Their times overlap: join frames by time with {join} timestamp`"
+    else:
+        remedy = (
+            "If they were filmed at the same time, name each instant alike, or join frames by their timestamps "
+            f"({join} timestamp`) or by their order ({join} order`)"
+        )
+    text = (
+        f"{', '.join(alone)}: no frame has the name of another camera's frame, so that nothing says which images show one "
+        f"instant ({shown}). {remedy}"
+    )
+    return [Finding("not joined", tuple(alone), (), together or not all_alone, text)]
+
+
 def check_timestamps(stamps_us: Mapping[str, Mapping[str, tuple[float, float]]], params: DoctorParams) -> list[Finding]:
     """Exposures of one frame that are too far apart, between cameras and between colour and depth of one camera."""
     findings, limit_us = [], 1e6 * params.max_spread_s
