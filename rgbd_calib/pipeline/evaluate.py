@@ -27,6 +27,7 @@ from rgbd_calib.trust import uncertainty
 from rgbd_calib.types import Board, BoardView, PlacedView, Rig
 from rgbd_calib.views.association import label_views
 from rgbd_calib.views.board_pose import pose_view
+from rgbd_calib.views.corner_points import corner_points
 from rgbd_calib.views.plane_filter import filter_planes
 
 GRID = 12
@@ -220,10 +221,10 @@ def _frustum(truth: Rig, name: str) -> FloatArray:
 
 def _on_front(rig: Rig, placed: PlacedView, board: Board) -> FloatArray:
     """Where a view puts its corners (n, 3), metres, in the world, carried through the board to its front."""
-    p = uncertainty.place(rig, placed.view.camera, placed.view.corners_px, placed.view.depth_m)
-    on_board = placed.points_m(board)
-    to_front = on_board * [0, 0, -1] @ placed.T_color_board[:3, :3].T
-    return p + to_front @ rig.cameras[placed.view.camera].T_world_color[:3, :3].T
+    own = rig.cameras[placed.view.camera]
+    p = corner_points(placed.view, placed.T_color_board, own.intrinsics, own.depth_sensor)
+    to_front = (board.corners_m()[placed.front_corner(board)] - placed.points_m(board)) @ placed.T_color_board[:3, :3].T
+    return se3.transform(own.T_world_color, p + to_front)
 
 
 def _compare(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from rgbd_calib.cameras.wall import SeenWall
 from rgbd_calib.geometry.linear import BoolArray, IntArray
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import Board, PlacedView
@@ -74,6 +75,22 @@ class Walls:
     @property
     def n(self) -> int:
         return len(self.camera)
+
+    @classmethod
+    def of(cls, cameras: Sequence[str], seen: Mapping[str, Sequence[SeenWall]]) -> Walls:
+        """Of the walls of each camera."""
+        every = [(i, wall) for i, name in enumerate(cameras) for wall in seen.get(name, ())]
+        if not every:
+            return cls.none()
+        N = max(wall.cells.seen.size for _, wall in every)
+        pixels, depth, there = np.zeros((len(every), N, 2)), np.ones((len(every), N)), np.zeros((len(every), N), bool)
+        grids = np.zeros((len(cameras), 2), int)
+        for row, (i, wall) in enumerate(every):
+            n, grids[i] = wall.cells.seen.size, wall.cells.seen.shape
+            pixels[row, :n] = wall.cells.pixels_px.reshape(-1, 2)
+            depth[row, :n], there[row, :n] = wall.cells.depth_m.ravel(), wall.cells.seen.ravel()
+        distances, sds = (np.array([getattr(wall, key) for _, wall in every]) for key in ("distance_m", "sd_m"))
+        return cls(np.array([i for i, _ in every]), distances, sds, pixels, depth, there, grids)
 
     @classmethod
     def none(cls) -> Walls:
