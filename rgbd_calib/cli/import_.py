@@ -54,10 +54,10 @@ def command(
       rgbd-calib import left.oni right.oni --synchronous -o recording
       rgbd-calib import rig.mcap -o recording --board 9x6 --square 0.06
     """
-    refuse_existing(output, overwrite)
+    named = _named(files)
+    refuse_existing(output, overwrite, folder=True, inputs=[path for _, path in named])
     from rgbd_calib.pipeline.import_recording import import_recording
 
-    named = _named(files)
     named_board = board()
     sources = [_source(camera, path, topics, redist) for camera, path in named]
     for remark in (remark for source in sources for remark in source.remarks):
@@ -75,12 +75,16 @@ def command(
 
 def _named(files: tuple[str, ...]) -> list[tuple[str, Path]]:
     """(camera, path) of each FILE."""
+    from rgbd_calib.io.reading import check_regular
+
     named = []
     for i, text in enumerate(files, 1):
         camera, equals, file = text.partition("=")
         path = Path(file) if equals and not Path(text).exists() else Path(text)
         if not path.exists():
             raise ConfigError(f"{path}: no such file or folder")
+        if not path.is_dir():
+            check_regular(path, path.stat())
         named.append((camera if path != Path(text) else f"C{i}", path))
     return named
 

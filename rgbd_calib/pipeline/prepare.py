@@ -14,6 +14,7 @@ from rgbd_calib.cameras.intrinsics import IntrinsicsResult, calibrate_intrinsics
 from rgbd_calib.cameras.wall import SeenWall, depth_at, wall_cells
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.recording import CameraInfo, Recording, open_recording
 from rgbd_calib.io.rig import read_depth_bias, read_depth_bias_samples, read_intrinsics, read_intrinsics_sd
@@ -25,6 +26,7 @@ from rgbd_calib.views.board_pose import pose_view
 from rgbd_calib.views.doctor import check_stems
 
 
+@one_blas_thread
 def intrinsics_of_views(
     recording: Recording, detections: Detections, config: Config, cameras: Sequence[str] | None = None
 ) -> dict[str, IntrinsicsResult]:
@@ -37,7 +39,7 @@ def intrinsics_of_views(
     """
     board = board_of(recording)
     out = {}
-    for name in cameras or recording.cameras:
+    for name in recording.cameras if cameras is None else cameras:
         info, views = recording.cameras[name], detections.of(name)
         if not views:
             raise CalibrationError(
@@ -183,6 +185,7 @@ def walls_of_recording(
     return tuple(out)
 
 
+@one_blas_thread
 def depth_of_recording(
     recording: Recording,
     intrinsics: Mapping[str, Intrinsics],

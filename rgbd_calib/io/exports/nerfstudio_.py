@@ -6,11 +6,10 @@ p1, p2 with OpenCV's meaning. Images are not copied; `file_path` is what --image
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 
 from rgbd_calib.io.exports.common import Export, Options, bias_note
+from rgbd_calib.io.plain import to_json
 from rgbd_calib.types import Rig
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -42,5 +41,5 @@ def export(rig: Rig, options: Options) -> Export:
             }
         )
     notes = (f"file_path is {frames[0]['file_path']} and so on; change it with --image-name",)
-    text = json.dumps({"camera_model": "OPENCV", "frames": frames}, indent=1, ensure_ascii=False) + "\n"
+    text = to_json({"camera_model": "OPENCV", "frames": frames}, indent=1, ensure_ascii=False) + "\n"
     return Export({"": text}, notes + bias_note(rig, "nerfstudio"))

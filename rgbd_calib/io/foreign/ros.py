@@ -12,6 +12,7 @@ import numpy as np
 
 from rgbd_calib.errors import ConfigError, RgbdCalibError
 from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.io.bag_limits import limit_expansion
 from rgbd_calib.io.foreign.ros_images import decode_image, is_depth
 from rgbd_calib.io.foreign.source import Kind, Picture, Stamps
 from rgbd_calib.io.schema_parts import IntrinsicsModel
@@ -75,6 +76,7 @@ class RosBag:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
 
+        limit_expansion()
         with _faults(self.name):
             reader = AnyReader([self._path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             reader.open()
