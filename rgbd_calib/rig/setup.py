@@ -13,8 +13,8 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.observations import Observations, Walls
 from rgbd_calib.types import Board, DepthBias
 
-N_WEAK_BIAS = 3
-"""Coefficients of a depth bias that has no recording: offset, scale, curvature."""
+N_WEAK_BIAS = 4
+"""Coefficients of a depth bias that is not given: offset, scale, curvature, and what bends the curve once more."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class BundleParams:
     bias_scale_sd: float = 0.010
     """Prior of the depth's scale without a bias recording: consumer sensors are good to 1 %."""
     bias_curvature_sd_per_m: float = 0.005
-    """Prior of the depth bias's quadratic term without a bias recording."""
+    """Prior of the depth bias's quadratic term without a bias recording; of each further term a fifth of the one before."""
     tape_sd_m: float = 0.002
     """Prior of what all written distances of a camera's walls are off by: one tape, one zero."""
     wall_tilt_sd_rad: float = 0.035

@@ -43,8 +43,7 @@ class DepthBiasBlock(DepthErrorBlock):
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        given = [len(p.bias.coefficients) for p in self.setup.priors if p.bias is not None]
-        return tuple(f"depth bias c{k}" for k in range(max([N_WEAK_BIAS, *given])))
+        return tuple(f"depth bias c{k}" for k in range(max(self.n_own(c) for c in range(self.sets))))
 
     @cached_property
     def range_m(self) -> FloatArray:
@@ -85,8 +84,11 @@ class DepthBiasBlock(DepthErrorBlock):
 
     def n_own(self, camera: int) -> int:
         """Coefficients of one camera."""
-        bias = self.setup.priors[camera].bias
-        return len(bias.coefficients) if bias is not None else N_WEAK_BIAS
+        prior = self.setup.priors[camera]
+        if prior.bias is None:
+            return N_WEAK_BIAS
+        given = len(prior.bias.coefficients)
+        return max(given, N_WEAK_BIAS) if prior.bias_is_start else given
 
     def basis(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> FloatArray:
         return np.asarray(polynomial.polyvander(np.clip(depth_m, *self.range_m[camera]), self.n - 1), float)
@@ -102,5 +104,6 @@ class DepthBiasBlock(DepthErrorBlock):
 def _information(bias: DepthBias | None, n: int, params: BundleParams) -> FloatArray:
     if bias is not None and bias.covariance is not None:
         return symmetric_inverse(bias.covariance)
-    sd = [params.bias_offset_sd_m, params.bias_scale_sd] + [params.bias_curvature_sd_per_m] * max(n - 2, 0)
+    sd = [params.bias_offset_sd_m, params.bias_scale_sd]
+    sd += [params.bias_curvature_sd_per_m / 5.0**k for k in range(max(n - 2, 0))]
     return np.diag(1 / np.square(sd[:n]))
