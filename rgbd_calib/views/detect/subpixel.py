@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from rgbd_calib.geometry.so3 import FloatArray
 
@@ -74,6 +75,8 @@ def refine(
     again = np.flatnonzero(gross | astray | (explained < MIN_EXPLAINED))
     if len(again):  # a wrong start: look where the other corners have it
         fitted[again], explained[again], _ = fit_crossings(gray, expected[again], sides[again], clear, light)
+        apart = cKDTree(fitted).query(fitted[again], 2)[0][:, 1]
+        explained[again[apart < _shorter(sides)[again] / 2]] = 0.0  # found another one of the corners
         gross, _ = outliers(grid, fitted, _shorter(sides), explained >= MIN_EXPLAINED)
     return fitted, (explained >= MIN_EXPLAINED) & ~gross
 
