@@ -63,7 +63,7 @@ def entries(folder):
 def test_what_is_read_back_is_what_was_found_bit_for_bit(recording, tmp_path, monkeypatch):
     first, said = found(recording, tmp_path / "cache")
     assert said == [] and len(first) == 5 and any(np.isnan(v.depth_m).all() for v in first)
-    monkeypatch.setattr(detection, "detect_view", None)  # nothing is detected any more
+    monkeypatch.setattr(detection, "find_corners", None)  # nothing is detected any more
     again, said = found(recording, tmp_path / "cache")
     assert bits(again) == bits(first)
     assert said == [f"{recording.path}: 6 of 6 images from the cache"]
@@ -154,15 +154,14 @@ def test_a_changed_image_is_looked_at_again_at_once(recording, tmp_path):
 
 
 def test_an_image_that_changes_under_the_detector_is_not_kept(recording, tmp_path, monkeypatch):
-    real, path = detection.detect_view, recording.color_files["C1"]["000000"]
+    real, path = detection.find_corners, recording.color_files["C1"]["000000"]
     replaced = recording.color_files["C1"]["000001"].read_bytes()
 
-    def slow(camera, frame, *rest):
-        if (camera, frame) == AT:
-            path.write_bytes(replaced)
-        return real(camera, frame, *rest)
+    def slow(*image_and_board):
+        path.write_bytes(replaced)  # the first image, while it is searched
+        return real(*image_and_board)
 
-    monkeypatch.setattr(detection, "detect_view", slow)
+    monkeypatch.setattr(detection, "find_corners", slow)
     found(recording, tmp_path / "cache")
     monkeypatch.undo()
     assert len(entries(tmp_path / "cache")) == 5

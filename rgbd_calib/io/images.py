@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
+from rgbd_calib.io.fast_png import read_rgb
 from rgbd_calib.io.files import read_bytes, whole_file
 from rgbd_calib.io.schema_base import MAX_SIDE
 
@@ -42,8 +43,10 @@ def decode_image(data: bytes, where: str, size: tuple[int, int] | None = None, w
     try:
         with _opened(data) as image:
             _check_size(where, image.size, size, who)
-            image.load()  # raises where the file ends early, which cv2.imread would not
-            array = np.array(image if image.mode not in _CONVERTED else image.convert(_CONVERTED[image.mode]))
+            array = read_rgb(data)
+            if array is None:
+                image.load()  # raises where the file ends early, which cv2.imread would not
+                array = np.array(image if image.mode not in _CONVERTED else image.convert(_CONVERTED[image.mode]))
     except ConfigError:
         raise
     except (
@@ -57,6 +60,8 @@ def as_bgr(image: np.ndarray) -> np.ndarray:
     """B G R (h, w, 3) of a decoded image that is grey, R G B or R G B A."""
     if image.ndim == 2:
         image = np.repeat(image[..., None], 3, axis=2)
+    if image.dtype == np.uint8:
+        return cv2.cvtColor(image, cv2.COLOR_RGB2BGR if image.shape[2] == 3 else cv2.COLOR_RGBA2BGR)
     return np.ascontiguousarray(image[..., 2::-1])
 
 

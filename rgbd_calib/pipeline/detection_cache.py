@@ -37,7 +37,7 @@ _CHUNK = 2**20
 def detector() -> str:
     """What finds boards here: the sources that take part, and the versions of the libraries below them."""
     root = Path(rgbd_calib.__file__).parent
-    read_by = [root / "io" / name for name in ("recording.py", "images.py")]
+    read_by = [root / "io" / name for name in ("recording.py", "images.py", "fast_png.py")]
     sources = hashlib.sha256()
     for path in [
         *sorted(root.glob("views/detect/*.py")),

@@ -75,7 +75,7 @@ def refine(
     again = np.flatnonzero(gross | astray | (explained < MIN_EXPLAINED))
     if len(again):  # a wrong start: look where the other corners have it
         fitted[again], explained[again], _ = fit_crossings(gray, expected[again], sides[again], clear, light)
-        apart = cKDTree(fitted).query(fitted[again], 2)[0][:, 1]
+        apart = np.asarray(cKDTree(fitted).query(fitted[again], 2)[0])[:, 1]
         explained[again[apart < _shorter(sides)[again] / 2]] = 0.0  # found another one of the corners
         gross, _ = outliers(grid, fitted, _shorter(sides), explained >= MIN_EXPLAINED)
     return fitted, (explained >= MIN_EXPLAINED) & ~gross
