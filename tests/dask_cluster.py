@@ -24,7 +24,8 @@ class Cluster:
         self.folder, self.processes = folder, []
         self.environment = os.environ | {
             "DASK_DISTRIBUTED__WORKER__MEMORY__TERMINATE": "False",
-            "PYTHONPATH": str(Path(__file__).parent),  # the functions above
+            # the functions above, and what this process imports
+            "PYTHONPATH": os.pathsep.join(filter(None, [str(Path(__file__).parent), os.environ.get("PYTHONPATH")])),
         }
         self._start("scheduler", "--port", "0", "--scheduler-file", folder / "scheduler.json", "--no-dashboard")
         wait_for((folder / "scheduler.json").exists)
