@@ -22,9 +22,10 @@ ALTERNATE = 0.9
 """Share of the pairs of squares side by side that must change from dark to bright in the board's order."""
 MIN_SEEN = 0.6
 """Share of the corners that must be seen before the rest are looked for where they must be."""
-
 MAX_BEYOND = 0.3
 """Share of a line beside the board that may look like corners: a grid that goes on is another board, or none."""
+LEAST_PX = 16
+"""An image with a shorter side is not looked at: 3 x 3 corners would have squares of 4 px."""
 ENLARGED_PX = 14.0
 """Part of a grid of smaller squares is looked at enlarged."""
 
@@ -51,6 +52,8 @@ def grid_sizes(gray: np.ndarray) -> list[tuple[int, int]]:
 
 def _looks(gray: np.ndarray, size: tuple[int, int] | None, enlarge: bool) -> Iterator[list[Grid]]:
     """Grids, in px of the whole image, of one look after another, for a grid of `size` or for any."""
+    if min(gray.shape) < LEAST_PX:
+        return
     half = _halved(gray)
     yield _seen(half, size, 2)
     fine = _seen(gray, size, 1)
@@ -69,7 +72,7 @@ def _seen(
     gray: np.ndarray, size: tuple[int, int] | None, reduced: float, corner: tuple[int, int] = (0, 0)
 ) -> list[Grid]:
     """Grids of an image that shows `reduced` px of the whole one in each of its own, from `corner` on."""
-    if min(gray.shape) < 16:
+    if min(gray.shape) < LEAST_PX:
         return []
     most = MOST if size is None else max(MOST, 4 * size[0] * size[1])
     grids = find_grids(find_saddles(gray, most), size)
