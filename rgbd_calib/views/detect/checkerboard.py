@@ -1,8 +1,8 @@
-"""A whole checkerboard in an image: the grid of saddles that has its numbers of columns and rows.
+"""A whole checkerboard in an image: the grid of saddle points that has its numbers of columns and rows.
 
-The image is looked at in several sizes: halved first, where most boards are found in a quarter of the time, for noise and
-blur are less there; as it is, for squares below some 12 px; and quartered, for an image far out of focus. Where the
-image as it is shows part of a grid, that part of it is looked at enlarged.
+The image is searched at several scales, until the board is found: at half size, which finds most boards, at a quarter of the
+cost and with less noise and blur; at full size, for squares below some 12 px; at a quarter of its size, for images far out
+of focus. If full size shows part of a grid of small squares, that part is searched enlarged.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from rgbd_calib.views.detect.saddles import MOST, find_saddles
 ALTERNATE = 0.9
 """Share of the pairs of squares side by side that must change from dark to bright in the board's order."""
 MIN_SEEN = 0.6
-"""Share of the corners that must be seen before the rest are looked for where they must be."""
+"""Share of the corners that must be detected; the places of the rest are predicted, and the refinement judges them."""
 MAX_BEYOND = 0.3
-"""Share of a line beside the board that may look like corners: a grid that goes on is another board, or none."""
+"""Share of a line beside the board that may look like corners: a grid that continues is another board, or none."""
 LEAST_PX = 16
-"""An image with a shorter side is not looked at: 3 x 3 corners would have squares of 4 px."""
+"""Images with a shorter side are skipped: the squares of 3 x 3 corners would be 4 px."""
 ENLARGED_PX = 14.0
-"""Part of a grid of smaller squares is looked at enlarged."""
+"""Grids of smaller squares are searched enlarged."""
 
 
 def find_checkerboard(gray: np.ndarray, board: Board, params: DetectParams) -> tuple[IntArray, FloatArray] | None:
@@ -42,7 +42,8 @@ def find_checkerboard(gray: np.ndarray, board: Board, params: DetectParams) -> t
 
 
 def grid_sizes(gray: np.ndarray) -> list[tuple[int, int]]:
-    """Columns and rows, the larger number first, of the checkerboards in a grey image (h, w) uint8, largest first."""
+    """Inner corners, (columns, rows) with the larger number first, of all checkerboards in a grey image (h, w) uint8, the
+    largest board first; empty where there is none. Part of a board counts as what is visible of it."""
     best: list[Grid] = []
     for grids in _looks(gray, None, False):
         if grids and (not best or grids[0].n_seen > best[0].n_seen):

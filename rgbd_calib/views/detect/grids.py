@@ -1,14 +1,15 @@
-"""Grids of saddles: from each saddle to the four beside it, squares that close, then hole by hole and line by line.
+"""Grids of saddle points: neighbours along the edges, closed cells, then growth by local prediction.
 
-A saddle's neighbour along an edge is the nearest one with black and white exchanged whose own edge runs along the same
-line. Where four such steps around a square close, the square is a cell; cells that touch are the beginning of a grid. It
-grows where it predicts corners: in its holes, and in whole lines beside it, from its own corners nearby alone, so that a
-lens may bend it as it likes (the idea of Geiger, Moosmann, Car, Schuster, "Automatic camera and range sensor calibration
-using a single shot", ICRA 2012). An image in which too few squares close is done before anything grows.
+The neighbour of a saddle point along an edge is the nearest one with black and white exchanged and an edge on the same line.
+Four such steps around a square that return to their start make a cell; connected cells are the seed of a grid. An image with
+fewer than MIN_CELLS connected cells, as many as 3 x 3 corners have, is rejected at this point. A seed grows into its holes
+and by whole lines, where corners are found close to their predicted places. Predictions use nearby corners only, so that a
+lens may distort the grid (the idea of Geiger, Moosmann, Car, Schuster, "Automatic camera and range sensor calibration using
+a single shot", ICRA 2012).
 
-The prediction is Bayesian. Around a hole at (0, 0) the corner of column x and row y is at c0 + c1 x + c2 y + c3 x^2 / 2 +
-c4 x y + c5 y^2 / 2; the corners of 7 x 7 around it count the less the farther they are; the sides c1, c2 are expected to
-be those of the grid as a whole, and the bend c3, c4, c5 none, within what perspective and lenses do.
+Around a hole at (0, 0), the corner of column x and row y is predicted at c0 + c1 x + c2 y + c3 x^2 / 2 + c4 x y + c5 y^2 / 2,
+fitted to the 7 x 7 corners around it with weights that fall with the distance, and with priors: the sides c1 and c2 are
+those of the grid as a whole, and the second derivatives c3, c4, c5 are zero, within what perspective and lenses do.
 """
 
 from __future__ import annotations
@@ -27,19 +28,19 @@ from rgbd_calib.types import IntArray
 from rgbd_calib.views.detect.saddles import Saddles
 
 LINKED = 400
-"""So many saddles are linked, the strongest first. Of the boards of scripts/benchmark_detection.py the last corner of one
-with 88 is the 128th, in deep shadow the 252nd."""
+"""Number of saddles that are linked, the strongest first. In scripts/benchmark_detection.py, the weakest corner of a board of
+88 is the 128th saddle, in deep shadow the 252nd."""
 NEAREST = 24
-"""So many saddles around one are looked at; in a board tilted by 70 degrees, the next along the rows is the 15th."""
+"""Number of saddles around each that are candidates; on a board tilted by 70 degrees, the next along the rows is the 15th."""
 TURNED = -0.5
 """Cosine between the Hessians of neighbours, at most."""
 ALONG = np.cos(np.deg2rad(32))
 """The line to a neighbour leaves both saddles' edges by less; blur opens the angle between two edges that are 25 degrees
 apart to 70. The next candidate for a wrong neighbour, a knight's move away, is farther than the right one."""
 MIN_CELLS = 4
-"""Cells of a grid to begin with, as in 3 x 3 corners."""
+"""Cells of a seed, as in 3 x 3 corners."""
 LINE_SHARE = 0.5
-"""A line of corners is one where at least this share of them is seen clearly."""
+"""Share of the corners of an outer line that must be detected for the line to count."""
 FAINT = np.log(0.03)
 """A corner is at least this strong beside the others of its grid; in a shadow that takes 80 % of the light, 0.04."""
 SIGMA, BEND, SIDE = 0.03, 0.06, 0.3
@@ -49,10 +50,8 @@ MAX_SIGMA = 0.2
 """A corner is looked for where its prediction is that certain, sides of a square."""
 TOLERANCE = 0.1, 2.0, 0.35
 """It is found within the first + the second x the prediction's standard deviation, at most the third."""
-
 INTO_SQUARE = 0.3
 """So far from a corner along the diagonals of its squares their shades are compared."""
-
 MIN_GAP = 0.2
 """The darker bright square is brighter than the brighter dark one by this share of what they differ in the mean."""
 

@@ -1,10 +1,9 @@
-"""Saddle points of the brightness: where a checkerboard may have corners, and how its edges run there.
+"""Saddle points of the brightness: candidates for corners of a checkerboard, and the directions of their edges.
 
-At a corner of a checkerboard the gradient vanishes and the determinant of the Hessian is negative and large. The Hessian
-tells the rest: the two directions in which its quadratic form is zero are those of the edges, and where it is positive
-the squares are bright. The corners beside it have the same Hessian with the sign turned, for there black and white change
-places. Most saddles of other things fail on a circle around them: there the brightness of a corner crosses the corner's
-own value four times, in two opposite pairs.
+At a corner of a checkerboard the gradient vanishes and the determinant of the Hessian is negative and large. The zero
+directions of its quadratic form are those of the edges, and where the form is positive the squares are bright. Adjacent
+corners have the same Hessian with opposite sign, for black and white are exchanged. Most saddle points of other objects fail
+on a circle around them: around a corner, the brightness crosses the corner's own value four times, in two opposite pairs.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 SMOOTHING_PX = 1.0
 CIRCLE_PX = 3.0
 MOST = 1500
-"""So many of the strongest saddles are looked at. Of 9 in 10 boards of scripts/benchmark_detection.py, all corners are
+"""Number of saddles that are kept, the strongest first. In 9 of 10 boards of scripts/benchmark_detection.py, all corners are
 among the first 130; in deep shadow and noise among the first 800."""
 MIN_STRENGTH = 1.0
 """Of a saddle, grey steps^2 / px^4: a corner whose squares differ by 6 grey steps, blurred by 1 px."""
