@@ -325,17 +325,17 @@ def _part_of(scene: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def room_pictures(n: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
     """The simulator's furnished room, (h, w) uint8, from `n` random places."""
-    from rgbd_calib.geometry import se3
-    from rgbd_calib.simulation.render import ColorNoise, View, develop, render_room
+    from rgbd_calib.simulation.color_sensor import ColorNoise, develop
+    from rgbd_calib.simulation.render import render_room
     from rgbd_calib.simulation.rig import look_at, true_intrinsics
     from rgbd_calib.simulation.room import furnished_room
     from rgbd_calib.simulation.scene import Caster
+    from rgbd_calib.simulation.view import View
 
     caster = Caster(furnished_room())
     low, high = caster.scene.corners_m.min(axis=0), caster.scene.corners_m.max(axis=0)
     for _ in range(n):
         eye, target = (rng.uniform(low + 0.15 * (high - low), high - 0.15 * (high - low)) for _ in range(2))
-        pose = look_at(eye, target, float(rng.uniform(-0.2, 0.2)))
-        T = pose if pose.shape == (4, 4) else se3.make(pose, eye)
+        T = look_at(eye, target, float(rng.uniform(-0.2, 0.2)))
         picture = render_room(View(true_intrinsics(WIDTH, HEIGHT, rng), T), caster, rng)
         yield cv2.cvtColor(develop(picture, ColorNoise(), rng), cv2.COLOR_BGR2GRAY)
