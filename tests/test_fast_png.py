@@ -58,3 +58,10 @@ def test_damage_is_left_to_pillow():
         else:
             del part[at : at + int(rng.integers(1, 12))]
         assert read_rgb(bytes(part)) is None
+
+
+def test_images_of_another_size_are_left_to_pillow_to_refuse():
+    data = png(picture(np.random.default_rng(2)))
+    assert read_rgb(data, (41, 30)).shape == (30, 41, 3)
+    assert read_rgb(data, (30, 41)) is None
+    assert read_rgb(data[:16] + (40000).to_bytes(4, "big") + data[20:]) is None

@@ -10,6 +10,8 @@ import zlib
 
 import numpy as np
 
+from rgbd_calib.io.schemas import MAX_SIDE
+
 try:
     from pyspng import load as _load
 except ImportError:  # no wheels for Linux on ARM
@@ -21,15 +23,18 @@ _RGB_8 = bytes([8, 2, 0, 0, 0])
 """The end of the header: bits, colour type, compression, filter, not interlaced."""
 
 
-def read_rgb(data: bytes) -> np.ndarray | None:
-    """The image (h, w, 3), uint8, in a PNG file of 8-bit R G B without transparency; None for everything else."""
+def read_rgb(data: bytes, size: tuple[int, int] | None = None) -> np.ndarray | None:
+    """The image (h, w, 3), uint8, in a PNG file of 8-bit R G B without transparency; None for everything else, and where it
+    has not the `size` (w, h), or without one has more than MAX_SIDE pixels a side."""
+    w, h = (int.from_bytes(data[k : k + 4], "big") for k in (16, 20))
+    if (w, h) != size if size is not None else max(w, h) > MAX_SIDE:
+        return None
     if _load is None or data[24:29] != _RGB_8 or not _is_whole(data):
         return None
     try:
         image = np.asarray(_load(data))
     except Exception:  # whatever it was, Pillow says it better
         return None
-    w, h = (int.from_bytes(data[k : k + 4], "big") for k in (16, 20))
     return image if image.shape == (h, w, 3) and image.dtype == np.uint8 else None
 
 

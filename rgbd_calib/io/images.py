@@ -40,13 +40,13 @@ def read_image(path: Path, size: tuple[int, int] | None = None, who: str = "") -
 
 def decode_image(data: bytes, where: str, size: tuple[int, int] | None = None, who: str = "") -> np.ndarray:
     """As :func:`read_image`, of a file's bytes; `where` names them in errors."""
+    if (rgb := read_rgb(data, size)) is not None:
+        return rgb
     try:
         with _opened(data) as image:
             _check_size(where, image.size, size, who)
-            array = read_rgb(data)
-            if array is None:
-                image.load()  # raises where the file ends early, which cv2.imread would not
-                array = np.array(image if image.mode not in _CONVERTED else image.convert(_CONVERTED[image.mode]))
+            image.load()  # raises where the file ends early, which cv2.imread would not
+            array = np.array(image if image.mode not in _CONVERTED else image.convert(_CONVERTED[image.mode]))
     except ConfigError:
         raise
     except (

@@ -45,12 +45,13 @@ SETTLED_NS = 2_000_000_000
 def detector() -> str:
     """What finds boards here: the sources that take part, and the versions of the libraries below them."""
     root = Path(rgbd_calib.__file__).parent
-    read_by = [root / "io" / name for name in ("recording.py", "images.py", "fast_png.py")]
+    read_by = [root / "io" / name for name in ("recording.py", "images.py")]
     sources = hashlib.sha256()
     for path in [
         *sorted(root.glob("views/detect/*.py")),
         *sorted(root.glob("geometry/*.py")),
         root / "types.py",
+        root / "io" / "fast_png.py",
         *read_by,
     ]:
         sources.update(path.read_bytes() if path.exists() else b"")
