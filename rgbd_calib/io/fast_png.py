@@ -10,7 +10,7 @@ import zlib
 
 import numpy as np
 
-from rgbd_calib.io.schemas import MAX_SIDE
+from rgbd_calib.io.schema_base import MAX_SIDE
 
 try:
     from pyspng import load as _load
