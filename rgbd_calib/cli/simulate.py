@@ -111,6 +111,13 @@ from rgbd_calib.cli import options
     help="Lenses of the colour cameras, in turn: brown (5 coefficients), rational (8), fisheye (Kannala-Brandt).",
 )
 @click.option("--ideal", is_flag=True, help="None of the errors of real prints, sensors and walls below.")
+@click.option(
+    "--print-scale",
+    type=click.FloatRange(0.0, 0.05),
+    default=0.0,
+    show_default=True,
+    help="How far the squares' true size is from --square, relative (one sigma): what rulers are off by.",
+)
 @click.option("--no-print-errors", is_flag=True, help="A flat board with square squares on both faces.")
 @click.option("--no-depth-field", is_flag=True, help="Depth that does not err over the image.")
 @click.option("--no-registration-error", is_flag=True, help="Depth images registered to their colour images exactly.")
@@ -149,6 +156,7 @@ def command(
     infrared: bool,
     lens: str,
     ideal: bool,
+    print_scale: float,
     no_print_errors: bool,
     no_depth_field: bool,
     no_registration_error: bool,
@@ -223,13 +231,13 @@ def command(
         if no_noise
         else ColorNoise(blur, sigma_grey, fringe_px=fringe),
         sensor=sensor,  # type: ignore[arg-type]
-        depth_noise=_depth_noise(sensor, depth_k, no_noise),
+        depth_noise=_depth_noise(sensor, depth_k, no_noise, ideal),
         lenses=lenses,  # type: ignore[arg-type]
         depth_size=_size(depth_size or _OWN_SIZES.get(sensor, "640x480")) if unregistered else None,
         infrared=infrared,
         bias=not (no_bias or no_noise),
         jpeg_quality=jpeg,
-        realism=IDEAL if ideal or no_noise else Realism().without(*off),
+        realism=IDEAL if ideal or no_noise else Realism(print_scale=print_scale).without(*off),
     )
     begin = time.monotonic()
     with whole_folder(out, overwrite) as folder:
@@ -244,13 +252,18 @@ def command(
 _OWN_SIZES = {"tof": "512x424"}
 
 
-def _depth_noise(sensor: str, k: float | None, ideal: bool) -> Any:
+_OBLIQUE_M = 1e-4
+"""Nguyen, Izadi, Lovell 2012."""
+
+
+def _depth_noise(sensor: str, k: float | None, exact: bool, ideal: bool) -> Any:
     from rgbd_calib.simulation.depth_sensor import STEREO, DepthNoise
     from rgbd_calib.simulation.time_of_flight import TimeOfFlight
 
     if sensor == "tof":
-        return TimeOfFlight(ideal=ideal) if k is None else TimeOfFlight(k_m=k, ideal=ideal)
-    own = replace(STEREO if sensor == "stereo" else DepthNoise(), ideal=ideal)
+        return TimeOfFlight(ideal=exact) if k is None else TimeOfFlight(k_m=k, ideal=exact)
+    own = STEREO if sensor == "stereo" else DepthNoise()
+    own = replace(own, ideal=exact, oblique_m=0.0 if ideal or exact else _OBLIQUE_M)
     return own if k is None else replace(own, k_per_m=k)
 
 

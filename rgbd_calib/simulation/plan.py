@@ -58,9 +58,10 @@ def plan(truth: TrueRig, params: SimulationParams) -> tuple[dict[str, FloatArray
 
 
 def _in_time(work: list[Job]) -> list[Job]:
-    order = sorted(range(len(work)), key=lambda i: (_RECORDINGS.index(work[i].recording), work[i].frame))
-    rank = {i: k for k, i in enumerate(order)}
-    return [replace(job, warm=rank[i] / len(work)) for i, job in enumerate(work)]
+    """The same jobs with how far the session is at each instant."""
+    instants = sorted({(_RECORDINGS.index(job.recording), job.frame) for job in work})
+    share = {frame: k / len(instants) for k, (_, frame) in enumerate(instants)}
+    return [replace(job, warm=share[job.frame]) for job in work]
 
 
 def _tape_error_m(params: SimulationParams) -> float:

@@ -46,7 +46,7 @@ class TrueRig:
     stated_depth: dict[str, DepthCamera] = field(default_factory=dict)
     """Of cameras whose depth is not registered, what the factory says of it."""
     cold_m: dict[str, float] = field(default_factory=dict)
-    """What depth is too long by when the session begins."""
+    """What ranges are too long by when the session begins."""
     focus_m: dict[str, float] = field(default_factory=dict)
     """Where lenses are sharp, of cameras that have a focus."""
 
@@ -66,7 +66,7 @@ class TrueRig:
         return {first: np.eye(4)} | {c: self.T_world_room @ self.T_room_color[c] for c in others}
 
     def drift_m(self, camera: str, warm: float) -> float:
-        """What its depth is too long by when a share `warm` of the session is over; its bias is that of the warm device."""
+        """What its ranges are too long by when a share `warm` of the session is over; its bias is that of the warm device."""
         return self.cold_m.get(camera, 0.0) * float(np.exp(-warm / _WARMS_UP))
 
     @property

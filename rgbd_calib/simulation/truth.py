@@ -24,8 +24,11 @@ def write_truth(
     T_room_board: Mapping[str, FloatArray],
     provenance: Mapping[str, Any],
 ) -> None:
-    """Write the rig, T_world_board (4, 4) by frame, and in `quality` the board's shape, and by camera and frame the walls and
-    what depth is too long by, in metres, while the device warms up; `warm` is how far the session is in each frame."""
+    """Write the rig, T_world_board (4, 4) by frame, and in `quality` the board's shape, and by camera and frame the walls, and
+    what ranges (along the rays) are too long by while the device warms up, metres.
+
+    `warm` is how far the session is in each frame.
+    """
     quality: dict[str, Any] = {}
     if board is not None:
         quality["board"] = board_truth(board)
