@@ -162,7 +162,7 @@ def test_fields_have_the_size_that_is_asked_for_and_are_what_their_grid_says():
         rms.append(np.sqrt(np.mean(np.square(errors))))
         for z, own in zip(ranges, errors, strict=True):
             np.testing.assert_allclose(field.error_m(np.full((480, 640), z))[::7, ::7], own, atol=1e-6)
-    assert np.exp(np.mean(np.log(rms))) == pytest.approx(0.009, rel=0.15)  # 30 draws of a quarter: 5 %
+    assert np.exp(np.mean(np.log(rms))) == pytest.approx(0.009, rel=0.15)  # 30 draws of a fifth: 4 %
     # some mm at 1 m, and more than 6 times that at 3 m
     assert np.std(errors[-1]) > 6 * np.std(structured_light(640, 480, 0.009, np.random.default_rng(29)).error_m(
         np.full((480, 640), 1.0)))  # fmt: skip

@@ -23,7 +23,7 @@ _MIDDLE, _SLOPE = 0.214, 1.16
 """Linear light of middle grey, and the sRGB curve's slope there, which turns grey steps into light."""
 _MEAN = 0.18
 """Linear light that exposure makes the mean of an image."""
-_BURNT, _BURNT_SHARE = 0.97, 0.98
+_BURNT, _BURNT_SHARE = 0.97, 0.995
 _GAINS = (0.3, 8.0)
 _METER_STEP = 8
 """Exposure is metered at every eighth pixel, each way."""

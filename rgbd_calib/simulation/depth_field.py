@@ -3,8 +3,9 @@
     z_true = z + bias(z) + field(u, v, z)            field = sum_k map_k(u, v) profile_k(z)
 
 A triangulating sensor errs by a disparity delta(u, v), so that z errs by z^2 delta / (f b). The pattern is the device's own:
-its two lenses' distortion (rings and slow waves), and with a projector bands of columns with an offset each, and cells where
-the projected pattern repeats. A Kinect's decays where the disparity, in the Kinect's units of growing distance, grows:
+its two lenses' distortion (slow waves, and rings that grow towards the border), and with a projector faint bands of columns with
+an offset each, and cells where the projected pattern repeats: some thousandths of a px, what is known of them being that they
+are far below the step of 1/8 px. A Kinect's decays where the disparity, in the Kinect's units of growing distance, grows:
 delta exp(-alpha_1 d) (Herrera, Kannala, Heikkila 2012).
 
 Maps and profiles are tables, linear in between, and so is their product: what truth.yaml has is what the images were made
@@ -35,7 +36,11 @@ _RATED_M = np.linspace(0.8, 3.0, 45)
 """Where the RMS of a field is counted."""
 _KINECT_C0, _KINECT_C1, _ALPHA = 3.09, -2.83e-3, 1.2e-3
 """1 / z = c0 + c1 d, d in the Kinect's units, and the decay of its distortion in each."""
-_ROUNDS = 4
+_LENGTHS = (1.4, 3.2)
+"""Of slow waves, in half widths of the image."""
+_SPREAD = 0.2
+"""Of the sizes of devices' fields, relative."""
+_ROUNDS = 5
 """Fixed-point rounds: each leaves 3 % of the error, of at most 30 mm."""
 
 
@@ -89,9 +94,9 @@ def reported(z_true_m: FloatArray, bias: DepthBias, field: SensorField | None) -
 
 
 def structured_light(width: int, height: int, rms_m: float, rng: np.random.Generator) -> SensorField:
-    """A field of this RMS over the image and 0.8 to 3 m, a quarter more or less."""
+    """A field of this RMS over the image and 0.8 to 3 m, a fifth more or less."""
     u, v, x, y = nodes(width, height)
-    pattern = waves(x, y, 3, (0.8, 2.0), rng) + 0.8 * rings(x, y, rng) + 0.35 * bands(x, rng) + 0.35 * cells(x, y, rng)
+    pattern = waves(x, y, 2, _LENGTHS, rng) + 1.5 * rings(x, y, rng) + 0.08 * bands(x, rng) + 0.12 * cells(x, y, rng)
     disparity = (_KINECT_C0 - 1 / _RANGE_M) / -_KINECT_C1
     profile = _RANGE_M**2 * np.exp(-_ALPHA * (disparity - disparity[0]))
     return rated(SensorField(u, v, _RANGE_M, (pattern - pattern.mean())[None], profile[None]), rms_m, rng)
@@ -100,16 +105,16 @@ def structured_light(width: int, height: int, rms_m: float, rng: np.random.Gener
 def stereo(width: int, height: int, rms_m: float, rng: np.random.Generator) -> SensorField:
     """A field of a pair of cameras: what is wrong with the rectification of two lenses, in disparity."""
     u, v, x, y = nodes(width, height)
-    pattern = waves(x, y, 3, (1.2, 3.0), rng) + 0.8 * rings(x, y, rng)
+    pattern = waves(x, y, 2, _LENGTHS, rng) + 1.5 * rings(x, y, rng)
     field = SensorField(u, v, _RANGE_M, (pattern - pattern.mean())[None], (_RANGE_M**2)[None])
     return rated(field, rms_m, rng)
 
 
 def rated(field: SensorField, rms_m: float, rng: np.random.Generator) -> SensorField:
-    """The same field with this RMS over the image and 0.8 to 3 m, a quarter more or less."""
+    """The same field with this RMS over the image and 0.8 to 3 m, a fifth more or less."""
     along = np.array([np.interp(_RATED_M, field.z_m, profile) for profile in field.profiles])
     values = np.einsum("kab,kc->abc", field.maps, along)
-    wanted = rms_m * np.exp(rng.normal(0, 0.25))
+    wanted = rms_m * np.exp(rng.normal(0, _SPREAD))
     scaled = field.maps * (wanted / np.sqrt(np.mean(values**2)))
     return SensorField(field.u_px, field.v_px, field.z_m, scaled, field.profiles)
 

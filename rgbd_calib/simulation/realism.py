@@ -46,7 +46,7 @@ class Realism:
     back_turn_rad: float = float(np.radians(0.3))
 
     field_m: float = 0.009
-    """RMS over the image and 0.8 to 3 m of what a camera's depth errs by besides its bias; cameras differ by a quarter. Time
+    """RMS over the image and 0.8 to 3 m of what a camera's depth errs by besides its bias; cameras differ by a fifth. Time
     of flight has 0.6 of it."""
     stray_light: float = 0.02
     """Time of flight: share of the light that comes over other ways (multipath, and in the lens); not a deviation."""

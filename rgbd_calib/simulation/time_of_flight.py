@@ -142,7 +142,7 @@ def _grain(shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
 def time_of_flight_field(
     width: int, height: int, length: FloatArray, rms_m: float, rng: np.random.Generator
 ) -> SensorField:
-    """Wiggling along the ray and a fixed pattern over the image, together of this RMS, a quarter more or less.
+    """Wiggling along the ray and a fixed pattern over the image, together of this RMS, a fifth more or less.
 
     `length` (a, b) is that of the rays with z = 1 at the field's nodes. The wiggling has the periods of the fourth harmonic of
     two frequencies, 0.94 and 2.3 m.
@@ -151,7 +151,7 @@ def time_of_flight_field(
     r = length[..., None] * _RANGE_M
     phases = rng.uniform(0, 2 * np.pi, 2)
     wiggle = np.sin(2 * np.pi * r / 0.94 + phases[0]) + 1.5 * np.sin(2 * np.pi * r / 2.3 + phases[1])
-    pattern = 1.2 * rings(x, y, rng) + 0.5 * waves(x, y, 3, (0.8, 2.0), rng)
+    pattern = 1.2 * rings(x, y, rng) + 0.5 * waves(x, y, 2, (1.4, 3.2), rng)
     total = wiggle / length[..., None] + (pattern - pattern.mean())[..., None]
     # a sum of a few products, as fast as a field of one
     U, s, Vt = np.linalg.svd(total.reshape(-1, len(_RANGE_M)), full_matrices=False)
