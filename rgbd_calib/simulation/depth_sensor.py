@@ -40,7 +40,7 @@ class DepthNoise:
     grazing_cos: float = 0.17
     """No measurement where the cosine between ray and surface normal is less (80 degrees)."""
     oblique_m: float = 0.0
-    """More noise on oblique surfaces: oblique_m / sqrt(z) theta^2 / (pi/2 - theta)^2 beside k z^2, theta the angle to the normal."""
+    """Additional noise on oblique surfaces, oblique_m / sqrt(z) theta^2 / (pi/2 - theta)^2, theta the angle to the normal."""
     ideal: bool = False
     """True: no noise, no quantisation, no bias and no holes but those of range."""
 
@@ -53,7 +53,7 @@ class DepthNoise:
 STEREO = DepthNoise(
     focal_px=385.0, baseline_m=0.050, k_per_m=4.0e-3, disparity_step_px=1 / 32, window_px=(13, 9), min_m=0.3, max_m=8.0
 )
-"""Two cameras and a projector of texture, as in a RealSense D435: 0.08 px of disparity."""
+"""Active stereo like a RealSense D435: 0.08 px disparity noise."""
 
 
 def biased(z_true_m: FloatArray, bias: DepthBias) -> FloatArray:
@@ -107,7 +107,7 @@ def _noise_px(shape: tuple[int, ...], noise: DepthNoise, rng: np.random.Generato
 
 
 def _oblique(z_m: FloatArray, cos_incidence: FloatArray, noise: DepthNoise) -> FloatArray:
-    """How many times the noise (h, w) is on an oblique surface."""
+    """Factor (h, w) of the noise on oblique surfaces."""
     angle = np.arccos(np.clip(cos_incidence, noise.grazing_cos, 1.0))
     more_m = noise.oblique_m / np.sqrt(z_m) * (angle / (np.pi / 2 - angle)) ** 2
     return np.hypot(1.0, more_m / (noise.k_per_m * z_m**2))
