@@ -89,11 +89,17 @@ class CellPattern:
         return out
 
 
+FIELD_AT_M = 3.0
+"""Depth at which a field has its coefficients: far, where it is largest."""
+
+
 @dataclass(frozen=True)
 class PolynomialField:
     """Legendre polynomials over the image, that grow with the depth.
 
-    field(u, v, z) = z^(p + q ln z) sum_k c_k T_k(x, y), z held to [min_m, max_m], degrees from 1 on: the degree 0 is the bias's.
+    field(u, v, z) = (z / z0)^(p + q ln(z / z0)) sum_k c_k T_k(x, y), z0 = FIELD_AT_M
+
+    with z held to [min_m, max_m], degrees from 1 on: the degree 0 is the bias's.
     """
 
     width: int
@@ -121,12 +127,12 @@ class PolynomialField:
     def by_parameters(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:
         """(..., k) derivatives of the field by its coefficients, then by p and q."""
         z, T = np.clip(z_m, self.min_m, self.max_m)[..., None], self._shapes(pixels_px)
-        pattern, log = (T @ self.coefficients)[..., None], np.log(z)
+        pattern, log = (T @ self.coefficients)[..., None], np.log(z / FIELD_AT_M)
         return np.concatenate([T, pattern * log, pattern * log**2], axis=-1) * self._grown(z)
 
     def _grown(self, z_m: FloatArray) -> FloatArray:
         p, q = self.growth
-        log = np.log(z_m)
+        log = np.log(z_m / FIELD_AT_M)
         return np.asarray(np.exp((p + q * log) * log))
 
     def _shapes(self, pixels_px: FloatArray) -> FloatArray:

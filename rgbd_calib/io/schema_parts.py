@@ -114,7 +114,7 @@ class CellPatternModel(Model):
 
 
 class PolynomialFieldModel(Model):
-    """z^(p + q ln z) sum_k c_k T_k(x, y): products of Legendre polynomials in x, y (-1 to 1 over the image) by total degree from 1
+    """(z / 3)^(p + q ln(z / 3)) sum_k c_k T_k(x, y): products of Legendre polynomials in x, y (-1 to 1 over the image) by total degree from 1
     on, and within a degree by the power of y from the highest; z_true = z + bias(z) + field, z held to [min_m, max_m]."""
 
     basis: Literal["legendre"] = "legendre"

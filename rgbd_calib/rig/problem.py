@@ -128,6 +128,15 @@ class Problem:
         """All variance components, with their globals."""
         return tuple((self.parts[b.name].start + c.parameters, c) for b in self.blocks for c in b.prior().components)
 
+    @property
+    def component_groups(self) -> list[list[tuple[IntArray, Component]]]:
+        """The same, those of one block and camera together."""
+        out: dict[tuple[str, int], list[tuple[IntArray, Component]]] = {}
+        for index, component in self.components:
+            block = next(b for b in self.blocks if self.parts[b.name].start <= index[0] < self.parts[b.name].stop)
+            out.setdefault((block.name, (index[0] - self.parts[block.name].start) // block.n), []).append((index, component))
+        return list(out.values())
+
     @cached_property
     def prior(self) -> Prior:
         P = self.n_globals
@@ -144,9 +153,9 @@ class Problem:
     @cached_property
     def unit_information(self) -> FloatArray:
         """(F + W, D), diagonal: what is known of the units before; of walls alone."""
-        own = self.setup
+        own, w = self.setup, self.weights
         out = np.zeros((own.obs.n_frames + own.walls.n, self.unit_size))
-        out[own.obs.n_frames :, 0] = own.walls.sd_m**-2.0
+        out[own.obs.n_frames :, 0] = w.robust_distance * (w.distance_factor * own.walls.sd_m) ** -2.0
         out[own.obs.n_frames :, 1:3] = own.params.wall_tilt_sd_rad**-2.0
         return out
 

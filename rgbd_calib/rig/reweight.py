@@ -13,13 +13,16 @@ where the noise is a fraction of the unit.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from rgbd_calib.geometry.linear import Assembly, Covariance, IntArray
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.rig.blocks.block import Component, Kind
+from rgbd_calib.rig.blocks.block import Kind
 from rgbd_calib.rig.blocks.board_shape import nominal_corners_m
 from rgbd_calib.rig.observations import Observations
 from rgbd_calib.rig.pose_rows import N_PARTS, pose_rows
@@ -44,6 +47,12 @@ MIN_PATCHES = 27
 """Patches that a field of the sixth degree explains."""
 MEDIAN_OF_ABSOLUTE = 0.6745
 """Of a normal error, in deviations."""
+DISTANCE_DOF = 1.0
+"""Of what was said of the walls' distances, or assumed: known to a factor of two or three."""
+DISTANCE_SIGMAS = 2.0
+"""A written distance that is farther off counts less: a dozen of them do not average a slip out."""
+SIZE_ROUNDS = 50
+"""Of the sizes of variance components and their parameters."""
 MIN_REDUNDANCY = 10.0
 """A group with less takes the variance of all cameras together."""
 
@@ -79,7 +88,8 @@ def reweighted(problem: Problem, state: State, covariance: Covariance) -> Weight
         k_depth=old.k_depth * np.sqrt(factors[1]),
         ratio_pixel=ratios[0],
         ratio_depth=ratios[1],
-        sizes={c.name: _size(problem, state, covariance, at, c) for at, c in problem.components},
+        sizes=_sizes(problem, state, covariance),
+        **_distance_weights(problem, state, covariance),
     )
     return _robust(problem, state, new, pixel, depth)
 
@@ -97,16 +107,50 @@ def _absorbed(problem: Problem, state: State, covariance: Covariance) -> dict[Ki
     return out
 
 
-def _size(problem: Problem, state: State, covariance: Covariance, at: IntArray, component: Component) -> float:
-    """The size of a variance component: scaled inverse chi^2 about what is usual, of the parameters that the data tell.
+def _sizes(problem: Problem, state: State, covariance: Covariance) -> dict[str, float]:
+    """The sizes of the variance components: scaled inverse chi^2 about what is usual, of the parameters that the data tell.
 
     theta' R theta / size^2 ~ chi^2 with as many degrees of freedom as the data have added to the prior's, k - tr(C R) / size^2
-    (D. MacKay, Neural Computation 4(3), 1992).
+    (D. MacKay, Neural Computation 4(3), 1992). As a small size draws its parameters to zero, and small parameters their size,
+    both are iterated, on what the data say of a block's parameters with all other unknowns eliminated.
     """
-    theta, now = problem.vector(state)[at], problem.weights.sizes[component.name] ** 2
-    told = len(at) - float(np.sum(covariance.of_globals[np.ix_(at, at)] * component.structure)) / now
-    squares = component.dof * component.usual**2 + float(theta @ component.structure @ theta)
-    return float(np.sqrt(squares / (component.dof + max(told, 0.0))))
+    theta, sizes = problem.vector(state), dict(problem.weights.sizes)
+    for group in problem.component_groups:
+        at = np.concatenate([index for index, _ in group])
+        stops = np.cumsum([0, *(len(index) for index, _ in group)])
+        parts = [slice(first, last) for first, last in pairwise(stops)]
+        R = [component.structure for _, component in group]
+        size2 = np.array([sizes[component.name] ** 2 for _, component in group])
+        C_now, now, before = covariance.of_globals[np.ix_(at, at)], theta[at], _prior(R, size2, parts)
+        for _ in range(SIZE_ROUNDS):
+            more = np.eye(len(at)) + C_now @ (_prior(R, size2, parts) - before)
+            C, own = np.linalg.solve(more, C_now), np.linalg.solve(more, now)
+            for k, (part, (_, c)) in enumerate(zip(parts, group, strict=True)):
+                n_told = max(len(R[k]) - float(np.sum(C[part, part] * R[k])) / size2[k], 0.0)
+                squares = c.dof * c.usual**2 + float(own[part] @ R[k] @ own[part])
+                size2[k] = squares / (c.dof + n_told)
+        sizes |= {c.name: float(np.sqrt(size)) for (_, c), size in zip(group, size2, strict=True)}
+    return sizes
+
+
+def _distance_weights(problem: Problem, state: State, covariance: Covariance) -> dict[str, Any]:
+    """How good the walls' distances turn out to be, as a variance component, and which of them are slips of the pen."""
+    walls, old = problem.setup.walls, problem.weights
+    if not walls.n:
+        return {}
+    t = state.walls.values[:, 0] / walls.sd_m
+    left = covariance.of_units[-walls.n :, 0, 0] / walls.sd_m**2
+    told = max(float(np.sum(1 - old.robust_distance * left / old.distance_factor**2)), 0.0)
+    factor2 = (DISTANCE_DOF + float(np.sum(old.robust_distance * t**2))) / (DISTANCE_DOF + told)
+    robust = huber(t[:, None, None] / np.sqrt(factor2), DISTANCE_SIGMAS)[:, 0]
+    return {"distance_factor": float(np.sqrt(factor2)), "robust_distance": robust}
+
+
+def _prior(R: Sequence[FloatArray], size2: FloatArray, parts: Sequence[slice]) -> FloatArray:
+    out = np.zeros((parts[-1].stop,) * 2)
+    for one, part, size in zip(R, parts, size2, strict=True):
+        out[part, part] = one / size
+    return out
 
 
 def _wall_weights(problem: Problem, state: State) -> tuple[FloatArray, FloatArray]:

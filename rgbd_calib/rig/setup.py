@@ -77,8 +77,8 @@ class BundleParams:
     """Prior of its turn."""
     registration_baseline_sd_m: float = 0.003
     """Prior of what is wrong with the baseline that the driver registers with, each way."""
-    field_per_m: float = 0.001
-    """Usual size of the depth's error over the image, z^2 times it for each shape; estimated."""
+    field_m: float = 0.010
+    """Usual size of the depth's error over the image, of each of its slopes 3 m away; estimated."""
     huber_sigmas: float = 3.0
     max_view_ratio: float = 4.0
     max_depth_sigmas: float = 5.0

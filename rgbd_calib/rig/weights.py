@@ -53,6 +53,10 @@ class Weights:
     """(C,), 1/m: sigma_z = k z^2 of a cell of a wall."""
     robust_wall: FloatArray
     """(W, N), 0 ... 1."""
+    distance_factor: float
+    """How good the walls' distances are, over what was said of them."""
+    robust_distance: FloatArray
+    """(W,), 0 ... 1."""
     sizes: Mapping[str, float]
     """Of the variance components of the unknowns, by name."""
 
@@ -66,7 +70,7 @@ class Weights:
         one, ratios = np.ones((V, N)), (np.ones(N_PIXEL), np.ones(N_DEPTH))
         Q = np.zeros((V, 2 * N, N_PIXEL)), np.zeros((V, N, N_DEPTH))
         k_wall = np.full(n_cameras, params.k_wall_per_m)
-        return cls(sigma, k, 0.0, *ratios, one, one, *Q, k_wall, np.ones(walls.seen.shape), dict(sizes))
+        return cls(sigma, k, 0.0, *ratios, one, one, *Q, k_wall, np.ones(walls.seen.shape), 1.0, np.ones(walls.n), dict(sizes))
 
     @property
     def excess(self) -> FloatArray:
@@ -92,6 +96,7 @@ class Weights:
             return 1.0
         names = "sigma_2d_px", "k_depth", "ratio_pixel", "ratio_depth"
         ratios = [getattr(self, n) / getattr(other, n) for n in (*names, "k_wall")]
+        ratios.append(np.array([(self.distance_factor / other.distance_factor) ** SIZES_COUNT]))
         ratios.append(np.array([1.0, *(size / other.sizes[name] for name, size in self.sizes.items())]) ** SIZES_COUNT)
         return max(float(np.max(np.abs(np.log(ratio)))) for ratio in ratios)
 

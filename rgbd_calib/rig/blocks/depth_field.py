@@ -1,6 +1,6 @@
 """What a depth sensor errs by over its image: polynomials of the pixel, that grow with the depth.
 
-    z_true = z + ... + z^(p + q ln z) sum_k c_k T_k(u, v)
+    z_true = z + ... + (z / z0)^(p + q ln(z / z0)) sum_k c_k T_k(u, v)        z0 = FIELD_AT_M
 
 A triangulating sensor errs in disparity, so that p = 2; a time-of-flight camera errs in range, and p is nearer 0; q bends the
 line of the error over the depth on double logarithmic paper. Both are estimated; how large the shapes of each degree are, is
@@ -11,15 +11,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from rgbd_calib.geometry.depth_error import n_terms, over_image, terms
+from rgbd_calib.geometry.depth_error import FIELD_AT_M, n_terms, over_image, terms
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import BlockPrior, Component
 from rgbd_calib.rig.blocks.depth_error import DepthErrorBlock
 
 DEGREE = 8
 """Eight shapes across the image; what is rougher, only walls show."""
-DOF = 2.0
-"""Of what is usual: known to a factor of two."""
+DOF = 0.001
+"""Of what is usual: hardly known, since some sensors err by nothing that is seen."""
 GROWTH, GROWTH_SD = np.array([2.0, 0.0]), np.array([0.7, 0.2])
 """Prior of p and q: disparity, or range."""
 
@@ -47,7 +47,7 @@ class DepthField(DepthErrorBlock):
         for c in range(self.sets):
             free[c] = bool(np.any(own.obs.has_depth[own.obs.camera == c]) or np.any(own.walls.camera == c))
             for d in range(1, DEGREE + 1):
-                at, usual = c * n + np.flatnonzero(degree == d), own.params.field_per_m / d**2
+                at, usual = c * n + np.flatnonzero(degree == d), own.params.field_m / d**2
                 components.append(Component(f"{own.cameras[c]}: depth field {d}", at, np.eye(len(at)), usual, DOF))
         assumed = np.zeros(self.size, bool)
         return BlockPrior(mean.ravel(), np.diag(information.ravel()), free.ravel(), assumed, tuple(components))
@@ -59,14 +59,14 @@ class DepthField(DepthErrorBlock):
         self, camera: int, own: FloatArray, pixels_px: FloatArray, depth_m: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         pattern, (p, q) = self._shapes(camera, pixels_px) @ own[:-2], own[-2:]
-        log = np.log(depth_m)
+        log = np.log(depth_m / FIELD_AT_M)
         error = pattern * np.exp((p + q * log) * log)
         return error, error / depth_m * (p + 2 * q * log)
 
     def by_parameters(
         self, camera: int, own: FloatArray, pixels_px: FloatArray, depth_m: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        T, (p, q), log = self._shapes(camera, pixels_px), own[-2:], np.log(depth_m)[..., None]
+        T, (p, q), log = self._shapes(camera, pixels_px), own[-2:], np.log(depth_m / FIELD_AT_M)[..., None]
         pattern = (T @ own[:-2])[..., None]
         error = np.concatenate([T, pattern * log, pattern * log**2], axis=-1) * np.exp((p + q * log) * log)
         slope = error * (p + 2 * q * log)
