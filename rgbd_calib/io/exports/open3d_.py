@@ -8,13 +8,13 @@ from __future__ import annotations
 import json
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.io.exports.common import Export, Options, bias_note, refuse_lens
+from rgbd_calib.io.exports.common import Carried, Export, Options, bias_note, with_carried_lenses
 from rgbd_calib.types import Rig
 
 
 def export(rig: Rig, options: Options) -> Export:
-    """One JSON file; raises ConfigError where a camera has distortion."""
-    refuse_lens(rig, "Open3D", (False,) * 5)
+    """One JSON file; raises ConfigError where a camera is no pinhole."""
+    rig, refitted = with_carried_lenses(rig, "Open3D", (Carried("opencv", 0, "a pinhole"),), options.max_px)
     parameters = [
         {
             "class_name": "PinholeCameraParameters",
@@ -30,5 +30,9 @@ def export(rig: Rig, options: Options) -> Export:
         for camera in rig.cameras.values()
     ]
     head = {"class_name": "PinholeCameraTrajectory", "version_major": 1, "version_minor": 0}
-    notes = (f"Open3D knows no camera names; the order is {', '.join(rig.cameras)}", *bias_note(rig, "Open3D"))
+    notes = (
+        *refitted,
+        f"Open3D knows no camera names; the order is {', '.join(rig.cameras)}",
+        *bias_note(rig, "Open3D"),
+    )
     return Export({"": json.dumps(head | {"parameters": parameters}, indent=1) + "\n"}, notes)
