@@ -1,4 +1,4 @@
-"""Kill `calibrate` and `detect` at random moments: is what they leave whole, and is the next run as if nothing had been?"""
+"""Kill `calibrate`, `correct` and `detect` at random moments: is the output whole, and does the next run give the same?"""
 
 from __future__ import annotations
 
@@ -38,14 +38,19 @@ class Study:
 
 @click.command()
 @click.argument("recording", type=click.Path(exists=True, path_type=Path))
-@click.option("--kills", default=200, show_default=True, help="Half of calibrate, a tenth of detect by two.")
+@click.option(
+    "--kills",
+    default=200,
+    show_default=True,
+    help="0.3 of calibrate, 0.3 of correct, 0.3 of detect, 0.1 of detect by two.",
+)
 @click.option("--frames", default=10, show_default=True, help="Of the recording that are used.")
 @click.option("--seed", default=0, show_default=True)
 @click.option("--json", "as_json", is_flag=True)
 def main(recording: Path, kills: int, frames: int, seed: int, as_json: bool) -> None:
-    """Kill both commands on RECORDING, of a board, and print how often each outcome was seen; the last two must be 0.
+    """Kill the commands on RECORDING, of a board, and print how often each outcome was seen; the last two must be 0.
 
-    `detect` runs in one process, and now and then in two.
+    `detect` runs in one process, and now and then in two. `correct` replaces a folder, in which somebody else's file lies.
     """
     folder = scratch()
     small, out = _small_copy(recording, folder / "recording", frames), folder / "out"
@@ -55,13 +60,19 @@ def main(recording: Path, kills: int, frames: int, seed: int, as_json: bool) -> 
     _end(_start(["detect", str(small), "-o", str(corners)]))
     calibrate = ["calibrate", str(small), "--corners", str(corners), "-o", str(out / "rig.yaml"), "--overwrite"]
     detect = ["detect", str(small), "-o", str(table), "--overwrite", "--jobs"]
+    rig = folder / "rig.yaml"
+    _end(_start(["calibrate", str(small), "--corners", str(corners), "-o", str(rig)]))
+    correct = ["correct", str(small), "--rig", str(rig), "-o", str(out / "corrected"), "--overwrite"]
     shutil.rmtree(folder / "cache")
-    studies = [_study("calibrate", out, calibrate, {}, [*calibrate, "--method", "ba"])]
+    studies = [
+        _study("calibrate", out, calibrate, {}, [*calibrate, "--method", "ba"]),
+        _study("correct", out, [*correct, "--undistort"], {}, correct, {"corrected/own/notes.txt": b"somebody's"}),
+    ]
     for jobs in ("1", "2"):
         studies.append(_study(f"detect by {jobs}", out, [*detect, jobs], {"corners.csv": b"camera,frame\n"}, None))
         shutil.rmtree(folder / "cache")
     rng = random.Random(seed)
-    for study, share in zip(studies, (0.5, 0.4, 0.1), strict=True):
+    for study, share in zip(studies, (0.3, 0.3, 0.3, 0.1), strict=True):
         while (i := study.counts["kills"]) < round(share * kills):
             if i % KEPT_CACHE == 0:
                 shutil.rmtree(folder / "cache", ignore_errors=True)
@@ -84,8 +95,7 @@ def _one(study: Study, out: Path, rng: random.Random, aimed: bool) -> None:
     """Put the old result there, run, kill, look, and run again."""
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()
-    for name, data in study.old.items():
-        (out / name).write_bytes(data)
+    _fill(out, study.old)
     number, counts = rng.choice(SIGNALS), study.counts
     pid = _start(study.args)
     if aimed:
@@ -97,7 +107,7 @@ def _one(study: Study, out: Path, rng: random.Random, aimed: bool) -> None:
         counts["too late"] += 1
         return
     counts["kills"] += 1
-    seen = {p.name: p.read_bytes() for p in out.iterdir() if not p.name.startswith(".")}
+    seen = _content(out)
     hidden = [p for p in out.iterdir() if p.name.startswith(".")]
     counts["leftovers"] += bool(hidden)
     if seen == study.new:
@@ -111,7 +121,20 @@ def _one(study: Study, out: Path, rng: random.Random, aimed: bool) -> None:
     if hidden and number != signal.SIGKILL:
         counts["broken"] += 1
     _end(_start(study.args))
-    counts["rerun differs"] += {p.name: p.read_bytes() for p in out.iterdir()} != study.new
+    counts["rerun differs"] += any(p.name.startswith(".") for p in out.iterdir()) or _content(out) != study.new
+
+
+def _content(folder: Path) -> dict[str, bytes]:
+    """Files by relative path, without what is hidden at the top."""
+    files = (p for p in folder.rglob("*") if p.is_file())
+    named = {p.relative_to(folder).as_posix(): p for p in files}
+    return {name: path.read_bytes() for name, path in named.items() if not name.startswith(".")}
+
+
+def _fill(folder: Path, content: dict[str, bytes]) -> None:
+    for name, data in content.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
 
 
 def _await_writing(pid: int, out: Path) -> None:
@@ -135,10 +158,20 @@ def _is_refused(rig: Path) -> bool:
     return False
 
 
-def _study(name: str, out: Path, args: list[str], old: dict[str, bytes], makes_old: list[str] | None) -> Study:
-    def run(command: list[str]) -> tuple[dict[str, bytes], float, float]:
+def _study(
+    name: str,
+    out: Path,
+    args: list[str],
+    old: dict[str, bytes],
+    makes_old: list[str] | None,
+    foreign: dict[str, bytes] | None = None,
+) -> Study:
+    """`makes_old` is the command whose result stands there before; `foreign` is in it, and must stay."""
+
+    def run(command: list[str], before: dict[str, bytes]) -> tuple[dict[str, bytes], float, float]:
         shutil.rmtree(out, ignore_errors=True)
         out.mkdir()
+        _fill(out, before)
         start = time.monotonic()
         pid = _start(command)
         _await_writing(pid, out)
@@ -147,11 +180,12 @@ def _study(name: str, out: Path, args: list[str], old: dict[str, bytes], makes_o
         if status != 0:
             raise SystemExit(f"{' '.join(command)}: exit status {status}")
         end = time.monotonic()
-        return {p.name: p.read_bytes() for p in out.iterdir()}, end - start, end - writing
+        return _content(out), end - start, end - writing
 
     if makes_old is not None:
-        old, _, _ = run(makes_old)
-    new, seconds, writing_s = run(args)
+        old, _, _ = run(makes_old, {})
+    old = old | (foreign or {})
+    new, seconds, writing_s = run(args, old)
     return Study(name, args, old, new, seconds, writing_s)
 
 
@@ -224,7 +258,9 @@ def _import_all() -> None:
         "pipeline.world",
         "io.residuals",
         "cli.calibrate",
+        "cli.correct",
         "cli.detect",
+        "pipeline.correct",
     ):
         importlib.import_module(f"rgbd_calib.{name}")
 

@@ -22,9 +22,12 @@ class Cluster:
 
     def __init__(self, folder):
         self.folder, self.processes = folder, []
+        here = Path(__file__).parent
         self.environment = os.environ | {
             "DASK_DISTRIBUTED__WORKER__MEMORY__TERMINATE": "False",
-            "PYTHONPATH": str(Path(__file__).parent),  # the functions above
+            "PYTHONPATH": os.pathsep.join(
+                (str(here), str(here.parent))
+            ),  # the functions above; the package that is tested
         }
         self._start("scheduler", "--port", "0", "--scheduler-file", folder / "scheduler.json", "--no-dashboard")
         wait_for((folder / "scheduler.json").exists)

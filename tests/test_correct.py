@@ -148,11 +148,13 @@ def test_a_damaged_image_leaves_nothing(run, tiny, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["in"]
 
 
-@pytest.mark.parametrize("where", ["in", "in/out", "."])
-def test_the_recording_itself_is_never_replaced(run, tiny, tmp_path, where):
+@pytest.mark.parametrize(
+    ("where", "why"), [("in", "is also the input"), ("in/out", "lies in the recording"), (".", "holds the input")]
+)
+def test_the_recording_itself_is_never_replaced(run, tiny, tmp_path, where, why):
     shutil.copytree(tiny.recording, tmp_path / "in")
     outcome = run("correct", tmp_path / "in", "--rig", tiny.rig_path, "--overwrite", "-o", tmp_path / where)
-    assert outcome.status == 2 and "Choose a folder beside it" in outcome.stderr
+    assert outcome.status == 2 and why in outcome.stderr
     assert open_recording(tmp_path / "in").frames == ("000000", "000001")
 
 

@@ -134,3 +134,9 @@ def test_fewest_distances_give_a_line():
     z_m = np.array([1.0, 2.0, 3.0])
     bias = fit_depth_bias(z_m, z_m * 1.01 + 0.002, camera="C1")
     np.testing.assert_allclose(bias.coefficients, [0.002, 0.01], atol=1e-9)
+
+
+def test_an_order_of_0_is_an_order():
+    """Two distances are enough for an offset and its spread; none is taken for "choose an order"."""
+    bias = fit_depth_bias([1.0, 2.0], [1.01, 2.01], DepthBiasParams(order=0), camera="C1")
+    assert bias.coefficients == pytest.approx((0.01,))

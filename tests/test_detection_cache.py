@@ -254,7 +254,7 @@ def test_it_stays_below_its_bound_and_drops_what_was_used_longest_ago(tmp_path):
         files.put(key, b"x" * i)
         os.utime(tmp_path / key[:2] / key, (1e9 + i, 1e9 + i))
     assert files.get(keys[0]) == b""  # used just now
-    old = tmp_path / keys[0][:2] / ".leftover"
+    old = tmp_path / keys[0][:2] / ".partial-leftover"
     old.write_bytes(b"of a killed process")
     os.utime(old, (1e9, 1e9))
     files.close()

@@ -6,6 +6,10 @@ import re
 
 import pytest
 from small_recording import draw_recording
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from rgbd_calib.geometry.blas import one_blas_thread
+from rgbd_calib.pipeline.workers import one_thread
 
 
 @pytest.fixture(scope="module")
@@ -71,3 +75,24 @@ def test_the_same_bytes_where_a_part_is_known(drawn, first, run, tmp_path, monke
         entry.unlink()
     again, told = written(run, drawn, tmp_path, "bundle", "--jobs", 2)
     assert again == cold and "12 of 24 images from the cache" in told.stderr
+
+
+def blas_threads() -> set[int]:
+    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+
+def test_linear_algebra_in_one_thread():
+    with threadpool_limits(2, user_api="blas"):
+        assert one_blas_thread(blas_threads)() == {1} and blas_threads() == {2}
+        with one_thread():
+            assert blas_threads() == {1}
+
+
+@pytest.mark.parametrize("method", ["bundle", "biobjective"])
+def test_the_same_bytes_for_any_number_of_blas_threads(drawn, run, tmp_path, monkeypatch, method):
+    monkeypatch.setenv("RGBD_CALIB_CACHE", str(tmp_path / "cache"))
+    made = []
+    for threads in (1, 2):
+        with threadpool_limits(threads, user_api="blas"):
+            made.append(written(run, drawn, tmp_path, method)[0])
+    assert made[0] == made[1]

@@ -274,7 +274,7 @@ def test_command_writes_replaces_when_asked_and_says_what_is_left_out(run, tmp_p
     again = run(*args)
     assert again.status == 2 and "--overwrite" in again.stderr
     assert run(*args, "--overwrite").status == 0
-    assert sorted(p.name for p in (tmp_path / "sparse").iterdir())[0] == "cameras.txt"
+    assert (tmp_path / "sparse" / "cameras.txt").exists()
 
 
 @pytest.mark.parametrize(

@@ -17,9 +17,10 @@ import pytest
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.camera import Intrinsics
-from rgbd_calib.io import files, temporary
+from rgbd_calib.io import files, folders, temporary
 from rgbd_calib.io.drawings import Fill, Sheet, write_pdf, write_svg
 from rgbd_calib.io.files import whole_file, whole_folder, write_text
+from rgbd_calib.io.folders import MARKER
 from rgbd_calib.io.growing_recording import CameraImages, GrowingRecording
 from rgbd_calib.io.images import write_image
 from rgbd_calib.io.pictures import write_picture
@@ -95,8 +96,7 @@ def test_no_space_left_on_the_device(full_disk, name):
 
 
 def test_a_folder_that_does_not_fit_leaves_the_old_one(tmp_path):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "a").write_text("old")
+    folder_of_ours(tmp_path / "out", a="old")
     new = whole_folder(tmp_path / "out", overwrite=True)
     with small_files(), pytest.raises(ConfigError, match="out: cannot be written"), new as folder:
         (folder / "a").write_text("x" * 100_000)
@@ -151,39 +151,48 @@ def test_things_in_the_way(tmp_path):
     assert names(tmp_path) == ["file", "folder"] and (tmp_path / "file").read_text() == "precious"
 
 
-def test_a_folder_may_replace_a_file_or_a_link_when_asked(tmp_path):
-    (tmp_path / "elsewhere").mkdir()
-    (tmp_path / "elsewhere" / "a").touch()
+def folder_of_ours(path: Path, **content: str) -> Path:
+    with whole_folder(path) as made:
+        for name, text in content.items():
+            (made / name).write_text(text)
+    return path
+
+
+def test_a_folder_replaces_no_file_and_is_written_through_a_link(tmp_path):
+    folder_of_ours(tmp_path / "elsewhere", a="old")
     (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
     (tmp_path / "file").touch()
-    for name in ("link", "file"):
-        with whole_folder(tmp_path / name, overwrite=True) as made:
-            (made / "b").touch()
-        assert names(tmp_path / name) == ["b"]
-    assert names(tmp_path / "elsewhere") == ["a"] and names(tmp_path) == ["elsewhere", "file", "link"]
+    with whole_folder(tmp_path / "link", overwrite=True) as made:
+        (made / "b").touch()
+    with (
+        pytest.raises(ConfigError, match="file: a folder was expected"),
+        whole_folder(tmp_path / "file", overwrite=True),
+    ):
+        pass
+    assert names(tmp_path / "elsewhere") == [MARKER, "b"] and names(tmp_path) == ["elsewhere", "file", "link"]
+    assert (tmp_path / "link").is_symlink()
 
 
 def test_a_kill_between_the_two_renames_of_a_folder_is_mended_by_the_next_run(tmp_path):
-    (tmp_path / ".out.replaced").mkdir()
-    (tmp_path / ".out.replaced" / "a").write_text("old")
+    folder_of_ours(tmp_path / "out", a="old").rename(tmp_path / ".out.replaced")
     with pytest.raises(RuntimeError), whole_folder(tmp_path / "out", overwrite=True):
         raise RuntimeError
     assert (tmp_path / "out" / "a").read_text() == "old" and names(tmp_path) == ["out"]
 
 
 def test_the_old_folder_comes_back_where_the_new_one_cannot_be_put(tmp_path, monkeypatch):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "a").write_text("old")
+    folder_of_ours(tmp_path / "out", a="old")
     real = Path.replace
 
-    def replace(self, target):
+    def fail(self, target):
         if temporary.MARK in self.name:
             raise OSError(errno.EIO, "broken disk", str(self))
         return real(self, target)
 
-    monkeypatch.setattr(Path, "replace", replace)
-    with pytest.raises(ConfigError, match="broken disk"), whole_folder(tmp_path / "out", overwrite=True):
-        pass
+    monkeypatch.setattr(folders, "_exchange", lambda a, b: False)  # as on systems that have none
+    monkeypatch.setattr(Path, "replace", fail)
+    with pytest.raises(ConfigError, match="broken disk"), whole_folder(tmp_path / "out", overwrite=True) as made:
+        (made / "a").write_text("new")
     assert (tmp_path / "out" / "a").read_text() == "old" and names(tmp_path) == ["out"]
 
 

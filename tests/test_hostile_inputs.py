@@ -172,7 +172,7 @@ def test_a_table_that_is_too_large_is_not_read(tmp_path, monkeypatch):
     monkeypatch.setattr("rgbd_calib.io.tables.MAX_BYTES", 1 << 20)
     path = tmp_path / "corners.csv"
     path.write_text(f"{CORNERS}\n" + "C1,0,0,1,2,,0\n" * 100_000)
-    refused(path, "corners.csv: larger than 1 MB seen", correspondences.read_corners)
+    refused(path, "corners.csv: larger than 1 MB", correspondences.read_corners)
 
 
 def test_residuals_twice(tmp_path):
@@ -248,7 +248,7 @@ def test_other_formats_under_the_name_of_png(kind):
 def test_a_pipe_in_a_recording_does_not_hang(recording, file):
     (recording / file).unlink(missing_ok=True)
     os.mkfifo(recording / file)
-    refused(recording, f"{file}: no regular file")
+    refused(recording, f"{file}: a regular file was expected")
 
 
 def test_a_folder_of_images_may_be_a_link(recording, tmp_path):

@@ -10,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rgbd_calib.errors import ConfigError
-from rgbd_calib.io.files import dump_yaml, load_yaml, plain, whole_file, whole_folder, write_text
+from rgbd_calib.io.files import dump_yaml, load_yaml, whole_file, whole_folder, write_text
+from rgbd_calib.io.folders import MARKER
+from rgbd_calib.io.plain import plain
 
 
 def test_a_file_appears_whole(tmp_path):
@@ -43,16 +45,16 @@ def test_a_folder_appears_whole_and_replaces_only_when_asked(tmp_path):
     assert (tmp_path / "out" / "a").read_text() == "1"
     with pytest.raises(ConfigError, match="in the way"), whole_folder(tmp_path / "out") as folder:
         (folder / "b").write_text("2")
-    assert [p.name for p in (tmp_path / "out").iterdir()] == ["a"]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [MARKER, "a"]
     with whole_folder(tmp_path / "out", overwrite=True) as folder:
         (folder / "b").write_text("2")
-    assert [p.name for p in (tmp_path / "out").iterdir()] == ["b"]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [MARKER, "b"]
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
 def test_a_failure_leaves_the_old_folder_and_nothing_else(tmp_path):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "a").write_text("old")
+    with whole_folder(tmp_path / "out") as folder:
+        (folder / "a").write_text("old")
     with pytest.raises(KeyboardInterrupt), whole_folder(tmp_path / "out", overwrite=True) as folder:
         (folder / "a").write_text("half")
         raise KeyboardInterrupt

@@ -78,8 +78,8 @@ def test_the_size_is_bounded_before_it_is_read(tmp_path, monkeypatch):
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
 def test_a_pipe_does_not_hang(tmp_path):
     os.mkfifo(tmp_path / "a.yaml")
-    with pytest.raises(ConfigError, match=r"a.yaml: no regular file"):
+    with pytest.raises(ConfigError, match=r"a.yaml: a regular file was expected"):
         load_yaml(tmp_path / "a.yaml")
     (tmp_path / "b.yaml").mkdir()
-    with pytest.raises(ConfigError, match=r"b.yaml: no regular file"):
+    with pytest.raises(ConfigError, match=r"b.yaml: a regular file was expected"):
         load_yaml(tmp_path / "b.yaml")

@@ -1,6 +1,15 @@
 """The viewer's file holds every camera, cloud and image; errors come before any work."""
 
 import builtins
+import contextlib
+import re
+import signal
+import socket
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -100,3 +109,51 @@ def test_points_are_where_fuse_puts_them(run, tiny, tmp_path):
             assert np.abs(seen_m - wanted_m).max() < 1e-6  # float32 of 2 m
             return
     pytest.fail("no cloud of C1")
+
+
+SERVE = """
+import sys
+from rgbd_calib.report import viewer
+from rgbd_calib.cli.main import main
+viewer.WEB_PORT, viewer.DATA_PORT = map(int, sys.argv[1:3])
+sys.argv = ["rgbd-calib", *sys.argv[3:]]
+main()
+"""
+
+
+LISTENING = "0A"
+
+
+def free_ports(n: int) -> list[int]:
+    with contextlib.ExitStack() as stack:
+        made = [stack.enter_context(socket.socket()) for _ in range(n)]
+        for s in made:
+            s.bind(("127.0.0.1", 0))
+        return [s.getsockname()[1] for s in made]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc/net")
+def test_served_to_this_computer_alone(tiny):
+    web, data = free_ports(2)
+    args = map(str, (web, data, "view", tiny.rig_path, "--serve"))
+    with subprocess.Popen([sys.executable, "-c", SERVE, *args], stderr=subprocess.PIPE, text=True) as process:
+        try:
+            url = next(found[1] for line in process.stderr if (found := re.search(r"Open \S+\?url=(\S+rrd)\.", line)))
+            with urllib.request.urlopen(url) as answer:
+                origin = answer.headers["Access-Control-Allow-Origin"]
+                assert answer.read(4) == b"RRF2" and origin == f"http://127.0.0.1:{web}"
+            with pytest.raises(urllib.error.HTTPError, match="403") as refused:
+                urllib.request.urlopen(f"http://127.0.0.1:{data}/rig.rrd")
+            refused.value.close()
+            places = [
+                line.split()[1]
+                for table in ("/proc/net/tcp", "/proc/net/tcp6")
+                for line in Path(table).read_text().splitlines()[1:]
+                if line.split()[3] == LISTENING
+            ]
+            wanted = tuple(f":{port:04X}" for port in (web, data))
+            seen = [place for place in places if place.endswith(wanted)]
+            assert len(seen) == 2 and all(place.startswith("0100007F:") for place in seen)
+        finally:
+            process.send_signal(signal.SIGINT)
+            assert process.wait(30) == 130

@@ -84,7 +84,7 @@ def fit_with_data(
     """The same as :func:`fit_depth_bias`, with the data and what was dropped."""
     params = params or DepthBiasParams()
     z_m, z_true_m = np.asarray(z_m, float), np.asarray(z_true_m, float)
-    least = (params.order or 1) + 2
+    least = (1 if params.order is None else params.order) + 2
     if len(z_m) < least:
         raise CalibrationError(
             f"{camera}: {len(z_m)} distance(s) for the depth bias, {least} needed. Record the wall at more distances"

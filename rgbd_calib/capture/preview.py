@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import logging
-import math
-import threading
 from importlib import resources
 from typing import Any
 
 import cv2
 import numpy as np
-from flask import Flask, Response, abort, jsonify
-from werkzeug.serving import WSGIRequestHandler, make_server
+from flask import Flask, Response, abort
 
 from rgbd_calib.capture.guide import Guide, GuideState
 from rgbd_calib.errors import ConfigError
+from rgbd_calib.io.plain import to_json
+from rgbd_calib.io.serving import LOOPBACK, LocalServer
 from rgbd_calib.sensors.rig import Rig
 from rgbd_calib.views.coverage import CameraCoverage
 
-LOOPBACK = "127.0.0.1"
 DEFAULT_PORT = 8765
 _JPEG_QUALITY = 75
 
@@ -37,40 +34,19 @@ def parse_address(text: str) -> tuple[str, int]:
     return host.strip("[]") or LOOPBACK, int(port)
 
 
-class PreviewServer:
-    """Serves the page from threads of its own; use as a context manager.
+def preview_server(guide: Guide, rig: Rig, host: str = LOOPBACK, port: int = DEFAULT_PORT) -> LocalServer:
+    """The page, to be used as a context manager.
 
     Raises
     ------
     ConfigError
         The port is taken.
     """
-
-    def __init__(self, guide: Guide, rig: Rig, host: str = LOOPBACK, port: int = DEFAULT_PORT) -> None:
-        logging.getLogger("werkzeug").setLevel(logging.ERROR)
-        try:
-            self._server = make_server(host, port, _app(guide, rig), threaded=True, request_handler=_QuietHandler)
-        except (OSError, SystemExit) as error:  # werkzeug itself exits where a port is taken
-            raise ConfigError(
-                f"--preview {host}:{port}: cannot listen there ({_why(error)}). Choose another port"
-            ) from None
-        self._server.daemon_threads = True  # type: ignore[attr-defined]  # it is the threading one
-        self._thread = threading.Thread(target=self._server.serve_forever, name="preview", daemon=True)
-        shown = f"[{host}]" if ":" in host else host
-        self.url = f"http://{shown}:{self._server.server_port}/"
-
-    def __enter__(self) -> PreviewServer:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._server.shutdown()
-        self._thread.join(2.0)
-        self._server.server_close()
+    return LocalServer(_app(guide, rig).wsgi_app, host, port, "--preview")
 
 
 def state_json(state: GuideState) -> dict[str, Any]:
-    """The state in JSON's types; NaN becomes null."""
+    """The state as the page wants it."""
     coverage = state.coverage
     return {
         "advice": state.advice,
@@ -97,8 +73,8 @@ def _coverage_json(coverage: CameraCoverage) -> dict[str, Any]:
         "views": coverage.views,
         "regions": coverage.regions.tolist(),
         "tilted": int(coverage.tilts[1:].sum()),
-        "nearest_m": None if math.isnan(coverage.nearest_m) else round(coverage.nearest_m, 2),
-        "farthest_m": None if math.isnan(coverage.farthest_m) else round(coverage.farthest_m, 2),
+        "nearest_m": round(coverage.nearest_m, 2),
+        "farthest_m": round(coverage.farthest_m, 2),
     }
 
 
@@ -112,7 +88,7 @@ def _app(guide: Guide, rig: Rig) -> Flask:
 
     @app.get("/state.json")
     def show_state() -> Response:
-        return jsonify(state_json(guide.state()))
+        return Response(to_json(state_json(guide.state())), mimetype="application/json")
 
     @app.get("/camera/<camera>.jpg")
     def show_picture(camera: str) -> Response:
@@ -124,15 +100,6 @@ def _app(guide: Guide, rig: Rig) -> Flask:
             rgb = pairs[-1].color.pixels if pairs else np.zeros((480, 640, 3), np.uint8)
         bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
         jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
-        return Response(jpeg, mimetype="image/jpeg", headers={"Cache-Control": "no-store"})
+        return Response(jpeg, mimetype="image/jpeg")
 
     return app
-
-
-class _QuietHandler(WSGIRequestHandler):
-    def log(self, type: str, message: str, *args: Any) -> None:
-        """Requests are not worth a line each."""
-
-
-def _why(error: BaseException) -> str:
-    return (error.strerror or str(error)) if isinstance(error, OSError) else "the port is taken"

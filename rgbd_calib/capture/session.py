@@ -172,10 +172,11 @@ class _Session:
             if self._display is not None:
                 self._guide.listen(self._display.update)
             if params.preview is not None:
-                from rgbd_calib.capture.preview import PreviewServer  # a web server takes long to import
+                from rgbd_calib.capture.preview import preview_server  # a web server takes long to import
 
-                server = stack.enter_context(PreviewServer(self._guide, rig, *params.preview))
-                self._note("", f"preview: {server.url}")
+                server = stack.enter_context(preview_server(self._guide, rig, *params.preview))
+                if self._display is not None:
+                    self._display.note("", f"preview: {server.url}")  # not for the log: the address is a secret
             studio = Studio(
                 rig, photographer, writer, self._guide, finder, self._stop, params.give_up_s, self._note, self._tally
             )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rgbd_calib.cli.options import output_option, overwrite_option, refuse_existing, say
+from rgbd_calib.cli.options import output_option, overwrite_option, refuse_existing, say, show
 from rgbd_calib.errors import ConfigError
 
 
@@ -77,7 +77,7 @@ def command(
         two_sided,
         thickness_m if two_sided else 0.0,
         "charuco" if is_charuco else "checkerboard",
-        (marker_m or round(0.75 * square_m, 4)) if is_charuco else 0.0,
+        (round(0.75 * square_m, 4) if marker_m is None else marker_m) if is_charuco else 0.0,
         dictionary if is_charuco else "",
     )
     if is_charuco:
@@ -96,7 +96,7 @@ def command(
     else:
         for path, sheet in zip(targets, sheets, strict=True):
             write_svg(path, sheet, title)
-    click.echo(board_sheet.numbers(board))
+    show(board_sheet.numbers(board))
     say(f"{' and '.join(map(str, targets))}: {size[0]:g} x {size[1]:g} mm. Print at 100 %, then measure the squares")
     if two_sided and thickness_m == 0:
         say("Measure the finished board's thickness and correct it in dataset.yaml")

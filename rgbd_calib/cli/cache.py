@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rgbd_calib.cli.options import say
+from rgbd_calib.cli.options import say, show
 
 
 @click.command
@@ -23,4 +23,4 @@ def command(clear: bool) -> None:
     if clear:
         files.prune(0)
     entries, size = files.usage()
-    click.echo(f"{files.folder}: {entries} entries, {size / 2**20:.1f} of {LIMIT_BYTES / 2**20:.0f} MiB")
+    show(f"{files.folder}: {entries} entries, {size / 2**20:.1f} of {LIMIT_BYTES / 2**20:.0f} MiB")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rgbd_calib.cli.options import (
+    OUTPUT,
     config_option,
     corners_option,
     method_options,
@@ -17,6 +18,7 @@ from rgbd_calib.cli.options import (
     recording_argument,
     refuse_existing,
     say,
+    show,
     workers_options,
 )
 from rgbd_calib.errors import ConfigError
@@ -42,7 +44,7 @@ if TYPE_CHECKING:
 @method_options(("init", "ba", "icp", "baicp+", "biobjective", "bundle"))
 @click.option(
     "--correspondences",
-    type=click.Path(path_type=Path),
+    type=OUTPUT,
     help="Write the matched features too, for `rgbd-calib refine`.",
 )
 @click.option(
@@ -50,11 +52,9 @@ if TYPE_CHECKING:
     metavar="WORLD",
     help="board:FRAME, floor, or a camera.  [default: the reference camera]",
 )
-@click.option("--update", type=click.Path(path_type=Path), help="A rig file to change, with --only or --world.")
+@click.option("--update", type=OUTPUT, help="A rig file to change, with --only or --world.")
 @click.option("--only", metavar="CAMERA", help="With --update: pose this camera anew, or add it; the others stay.")
-@click.option(
-    "--report", type=click.Path(path_type=Path), help="Folder for a report, index.html: whether to trust the rig."
-)
+@click.option("--report", type=OUTPUT, help="Folder for a report, index.html: whether to trust the rig.")
 @click.option(
     "--strict",
     is_flag=True,
@@ -210,7 +210,7 @@ def command(
             else ""
         )
         x, y, z = camera.T_world_color[:3, 3]
-        click.echo(f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m  {sure}")
+        show(f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m  {sure}")
     say(f"Wrote {output}, and what is left at every corner to {left}")
     if report is not None:
         from rgbd_calib.pipeline.report import write_report

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import click
 
-from rgbd_calib.cli.options import board_options, redist_option, say
+from rgbd_calib.cli.options import OUTPUT, board_options, redist_option, say
 from rgbd_calib.errors import ConfigError
 
 
 @click.command()
-@click.argument("out", type=click.Path(path_type=Path))
+@click.argument("out", type=OUTPUT)
 @board_options
 @click.option("--intrinsic", is_flag=True, help="One camera after the other, the board close in front of it.")
 @click.option("--depth-bias", is_flag=True, help="One camera after the other, a wall at known distances.")

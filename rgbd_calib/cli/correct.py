@@ -37,7 +37,7 @@ def command(recording: Path, rig_path: Path, undistort: bool, jobs: int | None, 
       rgbd-calib correct demo/extrinsic --rig demo/rig.yaml --undistort -o demo/pinhole
       rgbd-calib fuse demo/pinhole --rig demo/pinhole/rig.yaml -o demo/pinhole.ply
     """
-    refuse_existing(output, overwrite)
+    refuse_existing(output, overwrite, folder=True)
 
     from rgbd_calib.io.files import whole_folder
     from rgbd_calib.io.recording import open_recording

@@ -16,6 +16,7 @@ from rgbd_calib.cli.options import (
     recording_argument,
     refuse_existing,
     say,
+    show,
     workers_options,
 )
 
@@ -77,7 +78,7 @@ def command(
         curve = ", ".join(
             f"{1e3 * (bias.correct(z) - z):+.1f} ± {1e3 * bias.standard_error(z):.1f} mm at {z:.2f} m" for z in at
         )
-        click.echo(
+        show(
             f"{name}: order {len(bias.coefficients) - 1}, correction {curve}; RMS {1e3 * bias.rms_m:.2f} mm over "
             f"{len(fit.z_m) - int(fit.dropped.sum())} distances"
         )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rgbd_calib.cli.options import redist_option, say
+from rgbd_calib.cli.options import redist_option, say, show
 
 
 @click.command()
@@ -33,19 +33,20 @@ def command(redist: Path | None, as_json: bool) -> None:
     names = {identity: camera for camera, identity in assign_cameras([d.identity for d in found.devices], {}).items()}
     rows = sorted(((names[device.identity], device) for device in found.devices), key=lambda row: row[0])
     if as_json:
-        import json
         from dataclasses import asdict
 
-        click.echo(json.dumps([{"camera": camera, **asdict(device)} for camera, device in rows], indent=1))
+        from rgbd_calib.io.plain import to_json
+
+        show(to_json([{"camera": camera, **asdict(device)} for camera, device in rows], indent=1))
     else:
         for camera, device in rows:
             identity = device.identity
-            click.echo(f"{camera}  {identity.uri}  {device.vendor} {device.name}".rstrip())
+            show(f"{camera}  {identity.uri}  {device.vendor} {device.name}".rstrip())
             if not device.problem:
-                click.echo(
+                show(
                     f"    serial {identity.serial or 'none'}, USB {identity.usb_path}, firmware {device.firmware or '?'}"
                 )
-                click.echo(f"    {', '.join(device.modes)}")
+                show(f"    {', '.join(device.modes)}")
     for warning in found.warnings:
         say(f"Warning: {warning}")
     problems = [device.problem for device in found.devices if device.problem]

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rgbd_calib.cli.options import config_option, corners_option, progress, recording_argument, say, workers_options
+from rgbd_calib.cli.options import (
+    config_option,
+    corners_option,
+    progress,
+    recording_argument,
+    say,
+    show,
+    workers_options,
+)
 
 if TYPE_CHECKING:
     from rgbd_calib.pipeline.workers import Workers
@@ -49,9 +57,9 @@ def command(
       rgbd-calib doctor demo/intrinsic --json
       rgbd-calib doctor monday --intrinsics rig.yaml && rgbd-calib calibrate monday --intrinsics rig.yaml -o rig2.yaml
     """
-    import json
     from dataclasses import asdict
 
+    from rgbd_calib.io.plain import to_json
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.doctor import examine
@@ -65,10 +73,10 @@ def command(
         progress=progress,
     )
     if as_json:
-        click.echo(json.dumps({"healthy": result.healthy, "findings": [asdict(f) for f in result.findings]}, indent=2))
+        show(to_json({"healthy": result.healthy, "findings": [asdict(f) for f in result.findings]}, indent=2))
     else:
         for finding in result.findings:
-            click.echo(f"{'!' if finding.matters else '-'} {finding.sentence}")
+            show(f"{'!' if finding.matters else '-'} {finding.sentence}")
     serious = sum(f.matters for f in result.findings)
     say(
         f"{result.images} images, the board in {result.views}: "

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rgbd_calib.cli.options import config_option, corners_option, progress, workers_options
+from rgbd_calib.cli.options import config_option, corners_option, progress, show, workers_options
 
 if TYPE_CHECKING:
     from rgbd_calib.pipeline.workers import Workers
@@ -46,8 +46,7 @@ def command(
     """
     if (truth is None) == (recording is None):
         raise click.UsageError("give one of --truth FILE and --recording RECORDING")
-    import json
-
+    from rgbd_calib.io.plain import to_json
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.evaluate import evaluate_recording, evaluate_truth
 
@@ -57,17 +56,17 @@ def command(
         assert recording is not None
         summary = evaluate_recording(rig, recording, corners, load_config(config), workers, progress)
     if as_json:
-        click.echo(json.dumps(summary, indent=2))
+        show(to_json(summary, indent=2))
         return
     for name, error in summary.get("poses", {}).items():
-        click.echo(
+        show(
             f"{name}: rotation {error['rotation_deg']:.4f}°, translation {error['translation_mm']:.3f} mm "
             f"({100 * error['relative_translation']:.3f} %)"
         )
     for part in ("by_distance", "pairs"):
         for name, numbers in summary[part].items():
-            click.echo(f"{name}: {_line(numbers)}")
-    click.echo(f"alignment: {_line(summary['all'])}")
+            show(f"{name}: {_line(numbers)}")
+    show(f"alignment: {_line(summary['all'])}")
 
 
 def _line(numbers: dict[str, Any]) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rgbd_calib.cli.options import overwrite_option, refuse_existing, say
+from rgbd_calib.cli.options import OUTPUT, overwrite_option, refuse_existing, say
 
 FORMATS = ("ros", "kalibr", "colmap", "nerfstudio", "open3d", "opencv", "json")
 
@@ -14,7 +14,7 @@ FORMATS = ("ros", "kalibr", "colmap", "nerfstudio", "open3d", "opencv", "json")
 @click.command
 @click.argument("rig", type=click.Path(path_type=Path))
 @click.option("--to", type=click.Choice(FORMATS), required=True, help="The format.")
-@click.argument("output", type=click.Path(path_type=Path))
+@click.argument("output", type=OUTPUT)
 @click.option(
     "--undistorted", is_flag=True, help="Leave the lens out: for images that `correct --undistort` made (same K)."
 )
@@ -60,7 +60,7 @@ def command(
     from rgbd_calib.io.rig import read_rig
 
     exports.check_target(output, to)
-    refuse_existing(output, overwrite)
+    refuse_existing(output, overwrite, folder=not exports.FORMATS[to].suffixes)
     result = exports.export(read_rig(rig), to, Options(image_name, undistorted, output.suffix.lower(), max_px))
     exports.write(output, result, overwrite)
     say(f"{to}: {', '.join(name for name in result.files if name) or output.name} -> {output}")

@@ -76,7 +76,8 @@ def command(
     opened = open_recording(recording)
     if left_out(opened, rig):
         say(left_out(opened, rig))
-    frame = frame or fuse.fullest_frame(opened, common_cameras(opened, rig))
+    if frame is None:
+        frame = fuse.fullest_frame(opened, common_cameras(opened, rig))
     params = fuse.FuseParams() if max_depth_m is None else fuse.FuseParams(max_depth_m=max_depth_m)
     clouds = fuse.clouds_of(opened, rig, frame, params)
 

@@ -95,7 +95,8 @@ def command(
       rgbd-calib import rig.mcap -o recording --board 9x6 --square 0.06
       rgbd-calib import scans -o recording --depth-scale 0.001 --match order
     """
-    refuse_existing(output, overwrite)
+    found = named_files(files)
+    refuse_existing(output, overwrite, folder=True, inputs=[path for _, path in found])
     from rgbd_calib.io.foreign.ros_topics import parse_topics
     from rgbd_calib.pipeline.import_cameras import CameraOptions
     from rgbd_calib.pipeline.import_recording import ImportOptions, import_recording, nobody
@@ -104,7 +105,7 @@ def command(
     patterns: dict[Any, str] = {k: text for k, text in (("color", color), ("depth", depth), ("ir", ir)) if text}
     if patterns and color is None:
         raise click.UsageError("--depth and --ir go with --color")
-    named = [(name or f"C{i}", path) for i, (name, path) in enumerate(named_files(files), 1)]
+    named = [(name or f"C{i}", path) for i, (name, path) in enumerate(found, 1)]
     named_board = board()
     opening = OpenOptions(parse_topics(topics), patterns, redist)
     sources = [open_source(path, camera, opening) for camera, path in named]
@@ -142,11 +143,15 @@ def named_files(files: tuple[str, ...]) -> list[tuple[str | None, Path]]:
     ConfigError
         No such file or folder.
     """
+    from rgbd_calib.io.reading import check_regular
+
     named: list[tuple[str | None, Path]] = []
     for text in files:
         name, equals, file = text.partition("=")
         path = Path(file) if equals and not Path(text).exists() else Path(text)
         if not path.exists():
             raise ConfigError(f"{path}: no such file or folder")
+        if not path.is_dir():
+            check_regular(path, path.stat())
         named.append((name if path != Path(text) else None, path))
     return named

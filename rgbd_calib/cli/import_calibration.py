@@ -48,12 +48,14 @@ def command(
       rgbd-calib import-calibration C1=left.yaml C2=right.yaml -o intrinsics.yaml
       rgbd-calib import-calibration calib.xml --size 640x480 -o intrinsics.yaml
     """
-    refuse_existing(output, overwrite)
     from rgbd_calib.cli.import_ import named_files
+
+    given = named_files(files)
+    refuse_existing(output, overwrite, inputs=[path for _, path in given])
     from rgbd_calib.pipeline.import_calibration import read_calibrations, write_calibration
 
     names = dict(_pair(text) for text in rename)
-    found = read_calibrations(named_files(files), names, None if size is None else _size(size), UNITS_M[unit])
+    found = read_calibrations(given, names, None if size is None else _size(size), UNITS_M[unit])
     write_calibration(output, found)
     for note in found.notes:
         say(f"Note: {note}")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rgbd_calib.cli.options import board_options, overwrite_option, progress, say
+from rgbd_calib.cli.options import board_options, overwrite_option, progress, say, show
 from rgbd_calib.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def command(
     files = None if found.guess.standard else found.guess.patterns
     text = dump_yaml(dataset_data(told.cameras, named_board, None, files))
     if dry_run:
-        click.echo(text, nl=False)
+        show(text.rstrip("\n"))
         return
     write_text(target, text)
     for remark in open_recording(folder).remarks:

@@ -16,6 +16,7 @@ from rgbd_calib.cli.options import (
     recording_argument,
     refuse_existing,
     say,
+    show,
     workers_options,
 )
 
@@ -68,7 +69,7 @@ def command(
     write_intrinsics(output, lenses, statistics, {}, provenance)
     for name, result in results.items():
         lens, sd = result.intrinsics, result.standard_deviation
-        click.echo(
+        show(
             f"{name}: fx {lens.fx:.2f} ± {sd[0]:.2f}, fy {lens.fy:.2f} ± {sd[1]:.2f}, cx {lens.cx:.2f} ± {sd[2]:.2f}, "
             f"cy {lens.cy:.2f} ± {sd[3]:.2f} px; RMS {result.rms_px:.3f} px over {len(result.view_rms_px)} views"
         )

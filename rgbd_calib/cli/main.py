@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import importlib
 import importlib.util
+import io
+import os
 import signal
 import sys
 from contextlib import suppress
@@ -11,6 +14,7 @@ from types import FrameType
 
 import click
 
+from rgbd_calib.cli.streams import results_apart, say, standard_streams
 from rgbd_calib.errors import RgbdCalibError
 
 COMMANDS = (
@@ -51,7 +55,9 @@ class _Commands(click.Group):
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
             return None
-        command: click.Command = importlib.import_module(_module(name)).command
+        command: click.Command = copy.copy(importlib.import_module(_module(name)).command)
+        assert command.callback is not None
+        command.callback = results_apart(command.callback)
         return command
 
     def resolve_command(
@@ -101,28 +107,38 @@ def main() -> None:
         if signal.getsignal(number) is signal.SIG_DFL:  # nohup ignores HUP
             with suppress(ValueError):  # called outside the main thread
                 signal.signal(number, _terminate)
+    with standard_streams() as lost:
+        status = _run()
+        error = lost()
+        if error is not None and status == 0:
+            say(f"Error: standard output: {error.strerror}, so the results are incomplete. Write them elsewhere")
+            status = 2
+    sys.exit(status)
+
+
+def _run() -> int:
+    """Run the command line; its exit status."""
     try:
         status = cli.main(standalone_mode=False)
     except click.ClickException as error:
-        error.show()
-        sys.exit(error.exit_code)
+        text = io.StringIO()
+        error.show(text)
+        say(text.getvalue().rstrip())
+        return error.exit_code
     except click.exceptions.Abort:
-        click.echo("Interrupted; nothing was left half-written.", err=True)
-        sys.exit(130)
+        say("Interrupted; nothing was left half-written.")
+        return 130
     except _Terminated as error:
-        click.echo("Terminated; nothing was left half-written.", err=True)
-        sys.exit(error.code)
+        say("Terminated; nothing was left half-written.")
+        return int(error.code or 0)
     except RgbdCalibError as error:
-        click.echo(f"Error: {error}", err=True)
-        sys.exit(error.exit_status)
-    except BrokenPipeError:
-        sys.exit(141)
+        say(f"Error: {error}")
+        return error.exit_status
     except OSError as error:
-        click.echo(
-            f"Error: {error.filename or 'a file'}: {error.strerror or error}. Mend that, and run again", err=True
-        )
-        sys.exit(2)
+        name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "a file"
+        say(f"Error: {name}: {error.strerror or error}. Fix this and run again")
+        return 2
     except MemoryError:
-        click.echo("Error: not enough memory. Free some, or take fewer images", err=True)
-        sys.exit(1)
-    sys.exit(status if isinstance(status, int) else 0)
+        say("Error: not enough memory. Free some, or take fewer images")
+        return 1
+    return status if isinstance(status, int) else 0

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from rgbd_calib.cli.streams import say as say
+from rgbd_calib.cli.streams import show as show
 from rgbd_calib.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -18,8 +20,19 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
+
+class Output(click.Path):
+    """A path that the command writes; every other path among its options and arguments is an input."""
+
+
+OUTPUT = Output(path_type=Path)
+
 recording_argument = click.argument("recording", type=click.Path(path_type=Path))
-overwrite_option = click.option("--overwrite", is_flag=True, help="Replace what is there.")
+overwrite_option = click.option(
+    "--overwrite",
+    is_flag=True,
+    help="Replace the output if it exists: a file, or a folder that rgbd-calib wrote. Other files in it are kept.",
+)
 seed_option = click.option("--seed", type=int, default=0, show_default=True, help="Seed of every random choice.")
 jobs_option = click.option(
     "--jobs", type=click.IntRange(1), default=None, help="Processes to use.  [default: as many as there are cores]"
@@ -118,20 +131,67 @@ def method_options(methods: tuple[str, ...]) -> Decorator:
 
 def output_option(what: str, required: bool = True) -> Decorator:
     """-o/--output FILE, described by `what`."""
-    return click.option(
-        "-o", "--output", type=click.Path(path_type=Path), required=required, help=f"Where to write {what}."
-    )
+    return click.option("-o", "--output", type=OUTPUT, required=required, help=f"Where to write {what}.")
 
 
-def refuse_existing(path: Path, overwrite: bool) -> None:
-    """Stop before any work where the result would replace something, or could not be written."""
-    if path.exists() and not overwrite:
-        raise ConfigError(f"{path}: exists already. Choose another name, or replace it with --overwrite")
-    folder = next(p for p in path.absolute().parents if p.exists())
-    if not folder.is_dir():
-        raise ConfigError(f"{path}: cannot be written ({folder} is a file). Move it, or choose another name")
-    if not os.access(folder, os.W_OK):
-        raise ConfigError(f"{path}: cannot be written ({folder} is read-only). Choose a folder you may write to")
+def refuse_existing(path: Path, overwrite: bool, *, folder: bool = False, inputs: Iterable[Path] = ()) -> None:
+    """Stop before any work where the result would replace something, or could not be written.
+
+    Parameters
+    ----------
+    overwrite
+        A regular file, or a folder that an earlier run wrote, may be replaced; never one of the command's inputs.
+    folder
+        The result is a folder, written whole.
+    inputs
+        What the command reads beside the paths among its own options and arguments.
+
+    Raises
+    ------
+    ConfigError
+        Says what is in the way.
+    """
+    from rgbd_calib.io.conflicts import refuse_input
+    from rgbd_calib.io.files import check_output, resolved
+    from rgbd_calib.io.folders import check_replaceable, foreign_names
+
+    target = resolved(path)
+    _refuse_twice(path, target)
+    if not folder:
+        check_output(path)
+    if os.path.lexists(target):
+        refuse_input(path, (*_inputs(), *inputs))
+        if not overwrite:
+            raise ConfigError(f"{path}: exists already. Choose another name, or replace it with --overwrite")
+        if folder:
+            check_replaceable(target)
+            if kept := foreign_names(target):
+                say(
+                    f"{path}: files not written by rgbd-calib are kept: {', '.join(kept[:3])}{', ...' if kept[3:] else ''}"
+                )
+        elif not os.access(target, os.W_OK):
+            raise ConfigError(f"{path}: cannot be written (write-protected). Choose another name")
+    above = next(p for p in target.absolute().parents if os.path.lexists(p))
+    if not above.is_dir():
+        raise ConfigError(f"{path}: cannot be written ({above} is a file). Move it, or choose another name")
+    if not os.access(above, os.W_OK):
+        raise ConfigError(f"{path}: cannot be written ({above} is read-only). Choose a folder you may write to")
+
+
+def _inputs() -> list[Path]:
+    """The paths among the options and arguments of the command that are not outputs."""
+    context = click.get_current_context()
+    outputs = {p.name for p in context.command.params if isinstance(p.type, Output)}
+    return [value for name, value in context.params.items() if isinstance(value, Path) and name not in outputs]
+
+
+def _refuse_twice(path: Path, target: Path) -> None:
+    """Two outputs of one command must not be one file, on disks that know no case either."""
+    seen: dict[str, Path] = click.get_current_context().meta.setdefault(f"{__name__}.outputs", {})
+    key = os.path.normpath(target.absolute()).casefold()
+    if key in seen:
+        raise ConfigError(f"{path}: is also the output {seen[key]}. Give each output a different name")
+    seen[key] = path
 
 
 def progress(items: Iterable[T], total: int, what: str) -> Iterator[T]:
@@ -141,8 +201,3 @@ def progress(items: Iterable[T], total: int, what: str) -> Iterator[T]:
 
     console = Console(stderr=True)
     yield from track(items, description=what, total=total, console=console, disable=not console.is_terminal)
-
-
-def say(text: str) -> None:
-    """Talk to the user, on stderr: stdout is for results."""
-    click.echo(text, err=True)

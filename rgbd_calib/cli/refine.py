@@ -6,7 +6,15 @@ from pathlib import Path
 
 import click
 
-from rgbd_calib.cli.options import config_option, method_options, output_option, overwrite_option, refuse_existing, say
+from rgbd_calib.cli.options import (
+    config_option,
+    method_options,
+    output_option,
+    overwrite_option,
+    refuse_existing,
+    say,
+    show,
+)
 
 
 @click.command()
@@ -69,7 +77,7 @@ def command(
     write_rig(output, replace(rig, provenance={**provenance_of(settings), **origin}))
     for name, camera in rig.cameras.items():
         x, y, z = camera.T_world_color[:3, 3]
-        click.echo(f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m")
+        show(f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m")
     if refined is not None:
         say(
             f"sigma_2D {refined.sigma_2d_px:.3f} px, sigma_3D {1e3 * refined.sigma_3d_m:.2f} mm, w {refined.w:.3g}; "

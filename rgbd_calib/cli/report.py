@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rgbd_calib.cli.options import overwrite_option, refuse_existing, say
+from rgbd_calib.cli.options import OUTPUT, overwrite_option, refuse_existing, say
 
 
 @click.command
@@ -21,7 +21,7 @@ from rgbd_calib.cli.options import overwrite_option, refuse_existing, say
     type=click.Path(path_type=Path),
     help="depth_bias.yaml with the data behind the curves.  [default: those kept in the rig file]",
 )
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="Folder for index.html.")
+@click.option("-o", "--output", type=OUTPUT, required=True, help="Folder for index.html.")
 @overwrite_option
 def command(rig: Path, recording: Path | None, depth_bias: Path | None, output: Path, overwrite: bool) -> None:
     """Write one HTML file that says whether to trust RIG, and why.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from rgbd_calib.cli.options import show
 from rgbd_calib.errors import ConfigError
 
 MODELS = {
@@ -26,20 +27,21 @@ def command(name: str | None) -> None:
       rgbd-calib schema
       rgbd-calib schema dataset > dataset.schema.json
     """
-    import json
     from importlib import import_module
     from importlib.util import find_spec
 
     from pydantic import TypeAdapter
 
+    from rgbd_calib.io.plain import to_json
+
     models = {key: value for key, value in MODELS.items() if find_spec(value[0])}
     if name is None:
         for key, (_, _, files) in models.items():
-            click.echo(f"{key:10}{files}")
+            show(f"{key:10}{files}")
         return
     if name not in models:
         raise ConfigError(f"schema: '{name}' seen, one of {', '.join(models)} needed")
     module, model, files = models[name]
     schema = TypeAdapter(getattr(import_module(module), model)).json_schema()
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema | {"title": files}
-    click.echo(json.dumps(schema, indent=2))
+    show(to_json(schema, indent=2))

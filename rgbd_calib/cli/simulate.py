@@ -12,7 +12,7 @@ from rgbd_calib.cli import options
 
 
 @click.command("simulate")
-@click.argument("out", type=click.Path(path_type=Path))
+@click.argument("out", type=options.OUTPUT)
 @click.option("--cameras", type=click.IntRange(2, 99), default=4, show_default=True, help="How many cameras.")
 @click.option(
     "--layout",
@@ -183,7 +183,7 @@ def command(
       rgbd-calib simulate kinects --sensor tof --unregistered --infrared --lens rational
       rgbd-calib simulate clean --no-noise --frames 12
     """
-    options.refuse_existing(out, overwrite)
+    options.refuse_existing(out, overwrite, folder=True)
     cols, rows = _board_size(board)
     wall_m = _distances(distances)
     lenses = _lenses(lens)

@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
-from rgbd_calib.cli.options import progress, say
+from rgbd_calib.cli.options import progress, say, show
 from rgbd_calib.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -70,21 +68,19 @@ def update(
         for view, why in result.report["left_out"].items():
             say(f"{view} left out: {why}")
         if "moved_mm" in result.report:
-            click.echo(
+            show(
                 f"{only}: moved by {result.report['moved_mm']:.2f} mm and {result.report['turned_deg']:.3f}°, "
                 f"posed by {result.report['views']} views"
             )
         else:
-            click.echo(f"{only}: added by {result.report['views']} views")
+            show(f"{only}: added by {result.report['views']} views")
         for pair, numbers in result.report["alignment"].items():
             if "median_mm" in numbers:
-                click.echo(
-                    f"{pair}: {numbers['median_mm']:.2f} mm apart in the median, noise of single depths included"
-                )
+                show(f"{pair}: {numbers['median_mm']:.2f} mm apart in the median, noise of single depths included")
     say(f"Wrote {output}")
 
 
 def _tell_poses(rig) -> None:  # type: ignore[no-untyped-def]
     for name, own in rig.cameras.items():
         x, y, z = own.T_world_color[:3, 3]
-        click.echo(f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m")
+        show(f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m")

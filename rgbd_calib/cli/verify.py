@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rgbd_calib.cli.options import config_option, corners_option, progress, say, workers_options
+from rgbd_calib.cli.options import config_option, corners_option, progress, say, show, workers_options
 
 if TYPE_CHECKING:
     from rgbd_calib.pipeline.workers import Workers
@@ -53,8 +53,7 @@ def command(
       rgbd-calib verify rig.yaml monday --max-mm 2 --json
       rgbd-calib verify rig.yaml monday || rgbd-calib calibrate monday --update rig.yaml --only C3 -o rig2.yaml
     """
-    import json
-
+    from rgbd_calib.io.plain import to_json
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.io.rig import read_rig
     from rgbd_calib.pipeline.config import load_config
@@ -70,7 +69,7 @@ def command(
     result = verify(rig, opened, found.views, settings, VerdictParams(max_m=max_mm / 1e3))
     numbers = summary(result)
     if as_json:
-        click.echo(json.dumps(numbers, indent=2))
+        show(to_json(numbers, indent=2))
     else:
         _tell(numbers)
     return 0 if result.verdict.holds else 1
@@ -79,13 +78,13 @@ def command(
 def _tell(numbers: dict[str, Any]) -> None:
     for name, pair in numbers["pairs"].items():
         mark = "  OFF" if pair["off"] else ""
-        click.echo(f"{name}: {pair['error_mm']:.2f} ± {pair['noise_mm']:.2f} mm{mark}")
+        show(f"{name}: {pair['error_mm']:.2f} ± {pair['noise_mm']:.2f} mm{mark}")
     for name in numbers["moved"]:
         own = numbers["cameras"][name]
-        click.echo(
+        show(
             f"{name} moved: {own['shift_mm']:.2f} ± {own['shift_sd_mm']:.2f} mm, "
             f"{own['turn_deg']:.3f} ± {own['turn_sd_deg']:.3f}° against the others"
         )
     for text in numbers["views_left_out"]:
         say(text)
-    click.echo(numbers["verdict"])
+    show(numbers["verdict"])

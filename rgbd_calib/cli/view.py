@@ -7,10 +7,8 @@ from typing import Any
 
 import click
 
-from rgbd_calib.cli.options import overwrite_option, progress, refuse_existing, say
+from rgbd_calib.cli.options import OUTPUT, overwrite_option, progress, refuse_existing, say
 from rgbd_calib.errors import ConfigError
-
-_WEB_PORT = 9090
 
 
 @click.command
@@ -21,10 +19,8 @@ _WEB_PORT = 9090
     "--color", type=click.Choice(["image", "camera"]), default="camera", show_default=True, help="Of the clouds."
 )
 @click.option("--stride", type=click.IntRange(1), default=2, show_default=True, help="Show every n-th point.")
-@click.option(
-    "--save", type=click.Path(path_type=Path), help="Write a .rrd file, made in memory, instead of opening the viewer."
-)
-@click.option("--serve", is_flag=True, help="Serve the viewer to a browser instead, until Ctrl-C.")
+@click.option("--save", type=OUTPUT, help="Write a .rrd file instead of opening the viewer.")
+@click.option("--serve", is_flag=True, help="Serve the viewer to a browser on this computer instead, until Ctrl-C.")
 @overwrite_option
 def command(
     rig: Path,
@@ -38,7 +34,8 @@ def command(
 ) -> None:
     """Show a rig and its clouds in the viewer Rerun.
 
-    Cameras with their frusta and, with a recording, images and clouds over time. Needs `pip install rgbd-calib[view]`.
+    Cameras with their frusta and, with a recording, images and clouds over time, prepared in memory. Without --save the
+    command runs until the viewer is closed. Needs `pip install rgbd-calib[view]`.
 
     \b
     Examples:
@@ -69,26 +66,22 @@ def command(
         if left_out(opened, read):
             say(left_out(opened, read))
     stream = viewer.rerun().RecordingStream("rgbd-calib")
-
-    def log() -> None:
-        viewer.log_rig(stream, read)
-        if opened is not None:
-            frames = opened.frames if frame is None else (frame,)
-            for name in progress(frames, len(frames), "Fusing"):
-                _log_frame(stream, read, opened, name, color, stride)
-        stream.flush()
-
+    encoded = stream.binary_stream()  # in memory: rerun's own writer may wait for ever where the disk is full
+    viewer.log_rig(stream, read)
+    if opened is not None:
+        frames = opened.frames if frame is None else (frame,)
+        for name in progress(frames, len(frames), "Fusing"):
+            _log_frame(stream, read, opened, name, color, stride)
+    stream.flush()
+    data = encoded.read()
     if save is not None:
-        encoded = stream.binary_stream()  # in memory: rerun's own writer may wait for ever where the disk is full
         with whole_file(save) as temporary:
-            log()
-            temporary.write_bytes(encoded.read())
+            temporary.write_bytes(data)
         say(f"{len(read.cameras)} cameras -> {save}. Open it with: rerun {save}")
     elif serve:
-        _serve(stream, log)
+        viewer.serve(data, say)
     else:
-        stream.spawn()
-        log()
+        viewer.show(data)
 
 
 def _log_frame(stream: Any, rig: Any, recording: Any, frame: str, color: str, stride: int) -> None:
@@ -107,17 +100,3 @@ def _log_frame(stream: Any, rig: Any, recording: Any, frame: str, color: str, st
             clouds[cloud.camera] = points_m, own if color == "camera" else cloud.colors[::stride]
     images = {name: recording.color_files[name][frame] for name in cameras if frame in recording.color_files[name]}
     viewer.log_frame(stream, recording.frames.index(frame), clouds, images)
-
-
-def _serve(stream: Any, log: Any) -> None:
-    import time
-    from urllib.parse import quote
-
-    from rgbd_calib.report import viewer
-
-    address = stream.serve_grpc()
-    viewer.rerun().serve_web_viewer(web_port=_WEB_PORT, open_browser=False)
-    log()
-    say(f"Open http://localhost:{_WEB_PORT}/?url={quote(address, safe='')}. Stop with Ctrl-C")
-    while True:
-        time.sleep(1)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import stat
 import tempfile
 import time
@@ -27,6 +28,9 @@ CHECK_EVERY = 4096
 """Entries written between two looks at the folder's size."""
 LEFTOVER_S = 3600.0
 """A temporary file this old is of a process that was killed."""
+_PARTIAL = ".partial-"
+_FOLDER, _ENTRY = re.compile("[0-9a-f]{2}"), re.compile("[0-9a-f]{64}")
+"""Names of our own: RGBD_CALIB_CACHE may name a folder that holds files of others."""
 
 
 def default_folder() -> Path:
@@ -76,7 +80,7 @@ class FileCache:
             return
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            handle, temporary = tempfile.mkstemp(prefix=".", dir=path.parent)
+            handle, temporary = tempfile.mkstemp(prefix=_PARTIAL, dir=path.parent)
             try:
                 with os.fdopen(handle, "wb") as stream:
                     stream.write(MAGIC + _checksum(key, data) + data)
@@ -114,7 +118,10 @@ class FileCache:
             if total <= 0.9 * limit:
                 break
             try:
-                path.unlink(missing_ok=True)
+                if _is_entry(path):
+                    path.unlink()
+            except FileNotFoundError:
+                pass  # another process was faster
             except OSError as error:
                 self._give_up(error)
                 return
@@ -124,16 +131,16 @@ class FileCache:
         """(time of last use, bytes on disk, path) of entries; deletes what killed processes left."""
         old = time.time() - LEFTOVER_S
         for folder in _listed(self.folder):
-            if len(folder.name) != 2 or not folder.is_dir(follow_symlinks=False):
+            if not _FOLDER.fullmatch(folder.name) or not folder.is_dir(follow_symlinks=False):
                 continue
             for item in _listed(Path(folder.path)):
                 try:
                     status = item.stat(follow_symlinks=False)
-                    if item.name.startswith(".") and status.st_mtime < old:
+                    if item.name.startswith(_PARTIAL) and status.st_mtime < old:
                         os.unlink(item.path)
                 except OSError:
                     continue
-                if len(item.name) == 64 and stat.S_ISREG(status.st_mode):
+                if _ENTRY.fullmatch(item.name) and stat.S_ISREG(status.st_mode):
                     yield status.st_mtime, max(status.st_size, BLOCK_BYTES), Path(item.path)
 
     def _path(self, key: str) -> Path:
@@ -146,6 +153,12 @@ class FileCache:
                 "Delete it, or name another folder in RGBD_CALIB_CACHE"
             )
         self._broken = True
+
+
+def _is_entry(path: Path) -> bool:
+    """True where the file begins as one of ours."""
+    with path.open("rb") as stream:
+        return stream.read(len(MAGIC)) == MAGIC
 
 
 def _checksum(key: str, data: bytes) -> bytes:

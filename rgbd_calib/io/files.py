@@ -1,21 +1,24 @@
-"""Files written whole or not at all, files read up to a limit, and YAML as this project writes it."""
+"""Files written whole or not at all, and YAML as this project writes it."""
 
 from __future__ import annotations
 
 import errno
 import os
+import shutil
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from rgbd_calib.errors import ConfigError
-from rgbd_calib.io import safe_yaml
-from rgbd_calib.io.temporary import MARK, flush, flush_name, hidden, remove
+from rgbd_calib.io import folders, safe_yaml
+from rgbd_calib.io.plain import plain
+from rgbd_calib.io.reading import kind_of, read_bytes
+from rgbd_calib.io.temporary import MARK, flush, flush_name, hidden
+from rgbd_calib.io.text import valid
 
 _ADVICE = {
     errno.ENOSPC: "Free space, or choose another disk",
@@ -25,7 +28,13 @@ _ADVICE = {
     errno.ENOTDIR: "A file is in the way: move it, or choose another name",
     errno.EEXIST: "Something of that name is in the way: move it, or choose another name",
     errno.ENOTEMPTY: "A folder of that name is in the way: move it, or choose another name",
+    errno.ENAMETOOLONG: "Choose a shorter name",
 }
+
+
+def resolved(path: Path) -> Path:
+    """Where `path` is written: a link is written through, not replaced."""
+    return Path(os.path.realpath(path)) if os.path.islink(path) else path
 
 
 @contextmanager
@@ -41,45 +50,55 @@ def whole_file(path: Path, durable: bool = True) -> Iterator[Path]:
     Raises
     ------
     ConfigError
-        The folder cannot be written to, or the disk is full.
+        The folder cannot be written to, the disk is full, or the path is not a regular file.
     """
-    with _refusals(path), hidden(path, folder=False, leftovers=durable) as temporary:
-        yield temporary
-        if durable:
-            flush(temporary)
-        temporary.replace(path)
-        if durable:
-            flush_name(path)
+    with _refusals(path):
+        target = resolved(path)
+        check_output(path)
+        with hidden(target, folder=False, leftovers=durable) as temporary:
+            yield temporary
+            if durable:
+                flush(temporary)
+            with suppress(FileNotFoundError):  # a new file
+                shutil.copymode(target, temporary)
+            temporary.replace(target)
+            if durable:
+                flush_name(target)
 
 
 @contextmanager
 def whole_folder(path: Path, overwrite: bool = False) -> Iterator[Path]:
     """A temporary folder beside `path`, renamed to it at the end, or removed where the body fails.
 
-    What it replaces is moved aside first, since no rename replaces a folder that is not empty; where a kill came between
-    the two, the next run moves it back.
+    See :mod:`rgbd_calib.io.folders` for what is replaced.
 
     Raises
     ------
     ConfigError
         The folder cannot be written to, the disk is full, or something is there that is not to be replaced.
     """
-    aside = path.with_name(f".{path.name}.replaced")
-    with _refusals(path), hidden(path, folder=True) as temporary:
-        if os.path.lexists(aside):
-            remove(aside) if os.path.lexists(path) else aside.replace(path)
-        yield temporary
-        flush(temporary)
-        if overwrite and os.path.lexists(path):
-            path.replace(aside)
-        try:
-            temporary.replace(path)
-        except BaseException:
-            if os.path.lexists(aside):
-                aside.replace(path)
-            raise
-        flush_name(path)
-        remove(aside)
+    with _refusals(path):
+        target = resolved(path)
+        folders.restore(target)
+        if overwrite:
+            folders.check_replaceable(target)
+        with hidden(target, folder=True) as temporary:
+            yield temporary
+            folders.mark(temporary)
+            flush(temporary)
+            if overwrite and target.is_dir():
+                folders.replace_folder(temporary, target)
+            else:
+                temporary.replace(target)
+            flush_name(target)
+
+
+def check_output(path: Path) -> None:
+    """Raise ConfigError where `path` is no place for a file: a folder, a pipe, a socket or a device is never replaced."""
+    with suppress(FileNotFoundError, NotADirectoryError):
+        mode = path.stat().st_mode
+        if not stat.S_ISREG(mode):
+            raise ConfigError(f"{path}: cannot be written, {kind_of(mode)} is in the way. Choose another name")
 
 
 @contextmanager
@@ -91,38 +110,28 @@ def _refusals(path: Path) -> Iterator[None]:
         raise
     except OSError as error:
         seen = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else ""
-        if seen and MARK not in seen and Path(seen) not in (path, *path.parents):
+        own = {path, *path.parents, resolved(path), *resolved(path).parents}
+        if seen and MARK not in seen and Path(seen) not in own:
             raise  # of another file, which was read meanwhile
         what = _ADVICE.get(error.errno or 0, "Choose a folder you may write to")
         raise ConfigError(f"{path}: cannot be written ({error.strerror or error}). {what}") from error
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all."""
-    with whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-
-
-def read_bytes(path: Path, most: int) -> bytes:
-    """What is in a file of at most `most` bytes.
+    """Write a text file whole or not at all.
 
     Raises
     ------
     ConfigError
-        No such file, one that cannot be read, no regular file (a pipe, a device), or a larger one.
+        As :func:`whole_file`, or the text holds part of a name that is not UTF-8.
     """
     try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise ConfigError(f"{path}: no regular file seen, one is needed. Save it to a file first")
-        with path.open("rb") as stream:
-            data = stream.read(most + 1)
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file") from None
-    except (OSError, ValueError) as error:  # ValueError: a name with a null byte
-        raise ConfigError(f"{path}: cannot be read ({error}). Make it readable, or copy it again") from error
-    if len(data) > most:
-        raise ConfigError(f"{path}: larger than {most >> 20} MB seen, no file of this kind is. Is it the right file?")
-    return data
+        data = text.encode("utf-8")
+    except UnicodeEncodeError as error:
+        seen = valid(text[error.start : error.end])
+        raise ConfigError(f"{path}: cannot be written as UTF-8, a name holds {seen}. Rename it") from None
+    with whole_file(path) as temporary:
+        temporary.write_bytes(data)
 
 
 class _Dumper(yaml.SafeDumper):
@@ -138,19 +147,6 @@ def _represent_list(dumper: _Dumper, data: list[Any]) -> yaml.Node:
 
 _Dumper.add_representer(list, _represent_list)
 _Dumper.add_representer(tuple, lambda dumper, data: _represent_list(dumper, list(data)))
-
-
-def plain(value: Any) -> Any:
-    """The same value in YAML's own types: arrays become lists, numpy scalars numbers, paths text."""
-    if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, np.generic):
-        return value.item()
-    return str(value) if isinstance(value, Path) else value
 
 
 def dump_yaml(data: dict[str, Any]) -> str:

@@ -98,7 +98,7 @@ def read_rig(path: Path) -> Rig:
             camera.depth_field.value() if camera.depth_field else None,
             camera.depth.value() if camera.depth else None,
         )
-    reference = model.reference or next(iter(cameras))
+    reference = next(iter(cameras)) if model.reference is None else model.reference
     if reference not in cameras:
         raise ConfigError(f"{path}: reference: {short(reference)} seen, one of {', '.join(cameras)} needed")
     return Rig(reference, cameras, model.quality, model.provenance)

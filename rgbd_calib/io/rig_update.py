@@ -10,8 +10,10 @@ import yaml
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.files import dump_yaml, load_yaml, write_text
+from rgbd_calib.io.reading import read_bytes
 from rgbd_calib.io.residuals import HASH_KEY
 from rgbd_calib.io.rig import camera_entry
+from rgbd_calib.io.safe_yaml import MAX_BYTES
 from rgbd_calib.types import RigCamera
 
 STALE = ("alignment_on_recording", "expected_alignment")
@@ -31,7 +33,7 @@ def write_update(
         The file's sections are not blocks (a whole section in braces).
     """
     data = load_yaml(source)
-    text = source.read_text(encoding="utf-8")
+    text = read_bytes(source, MAX_BYTES).decode("utf-8")
     lines = text.splitlines(keepends=True)
     if lines and not lines[-1].endswith("\n"):
         lines[-1] += "\n"

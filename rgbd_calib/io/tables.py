@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
-import stat
+import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.files import whole_file
+from rgbd_calib.io.reading import open_regular
 
 MAX_BYTES = 256 << 20
 """4 million corners; 8 cameras that see all of a board of 88 corners in 1,000 frames are 45 MB."""
 MAX_NAME = 200
 """Characters of a name: it becomes part of a file's name, which has 255 bytes."""
+MAX_LINE = 1 << 20
+"""Characters; a row of eight short fields has less than 1,000."""
 _LARGEST = {"px": 1e6, "m": 1e6}
 _LARGEST_OTHER = 1e18  # microseconds since 1970 are 1.8e15
 
@@ -43,13 +47,11 @@ def read_table(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[int, dict
         While it is read: no CSV, a column that is missing or there twice, a row of another length, or too large a file.
     """
     try:
-        state = path.stat()
-        if not stat.S_ISREG(state.st_mode):
-            raise ConfigError(f"{path}: no regular file seen, one is needed. Save it to a file first")
-        if state.st_size > MAX_BYTES:
-            raise ConfigError(f"{path}: larger than {MAX_BYTES >> 20} MB seen. Is it the right file? Take fewer frames")
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.reader(stream, strict=True)
+        with (
+            open_regular(path, MAX_BYTES) as stream,
+            io.TextIOWrapper(stream, encoding="utf-8-sig", newline="") as text,
+        ):
+            reader = csv.reader(_lines(path, text), strict=True)
             header = next(reader, [])
             places = [_place(path, header, column) for column in columns]
             for row in reader:
@@ -60,10 +62,20 @@ def read_table(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[int, dict
                         f"{path}: line {reader.line_num}: {len(header)} fields needed, {len(row)} seen. Is the file whole?"
                     )
                 yield reader.line_num, {column: row[i] for column, i in zip(columns, places, strict=True)}
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file") from None
     except (OSError, ValueError, csv.Error) as error:  # ValueError: not UTF-8
         raise ConfigError(f"{path}: cannot be read as CSV ({error}). Save it as comma-separated UTF-8") from error
+
+
+def _lines(path: Path, text: io.TextIOWrapper) -> Iterator[str]:
+    """The lines of a table that has its whole length from the start: one that is being filled might have no end."""
+    left = os.fstat(text.fileno()).st_size
+    while line := text.readline(MAX_LINE):
+        left -= len(line)  # characters, of one byte or more
+        if left < 0:
+            raise ConfigError(f"{path}: grows while it is read. Wait until it is complete")
+        if len(line) == MAX_LINE:
+            raise ConfigError(f"{path}: a line of {MAX_LINE >> 20} million characters seen. Is it the right file?")
+        yield line
 
 
 def number(path: Path, line: int, key: str, text: str) -> float:

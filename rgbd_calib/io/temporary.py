@@ -21,7 +21,7 @@ except ImportError:  # pragma: no cover
 
 MARK = ".partial-"
 """Part of the name of everything that is not whole yet."""
-_STEM = 100  # characters of the result's name in that of its temporary: both must fit 255 bytes
+_STEM = 180  # bytes of the result's name in that of its temporary: both must fit 255 bytes
 
 
 @contextmanager
@@ -35,12 +35,13 @@ def hidden(path: Path, folder: bool, leftovers: bool = True) -> Iterator[Path]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     stem, suffix = (path.name, "") if folder else (path.stem, path.suffix)
+    start = f".{shortened(stem)}{MARK}"
     if leftovers:
-        _remove_leftovers(path.parent, f".{stem[:_STEM]}{MARK}", suffix)
+        _remove_leftovers(path.parent, start, suffix)
     place, lock = path, -1
     try:
         while lock < 0:  # again where another run took it for a leftover before it was locked
-            place = path.with_name(f".{stem[:_STEM]}{MARK}{secrets.token_hex(4)}{suffix}")
+            place = path.with_name(f"{start}{secrets.token_hex(4)}{suffix}")
             lock = _make_locked(place, folder)
         yield place
     finally:
@@ -74,6 +75,13 @@ def flush_name(path: Path) -> None:
     _fsync(path.parent)
 
 
+def shortened(stem: str) -> str:
+    """The first characters of a name, _STEM bytes of them at most."""
+    while len(os.fsencode(stem)) > _STEM:
+        stem = stem[:-1]
+    return stem
+
+
 def _make_locked(place: Path, folder: bool) -> int:
     """Descriptor of the new place, which holds its lock; -1 where it was removed before it was locked."""
     if folder:
@@ -101,7 +109,7 @@ def _remove_leftovers(folder: Path, start: str, suffix: str) -> None:
     for name in glob.glob(f"{glob.escape(start)}????????{glob.escape(suffix)}", root_dir=folder):
         place = folder / name
         with suppress(OSError):
-            handle = os.open(place, os.O_RDONLY | os.O_NOFOLLOW)
+            handle = os.open(place, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)  # a pipe of that name must not hang
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 remove(place)

@@ -13,6 +13,7 @@ import numpy as np
 
 import rgbd_calib
 from rgbd_calib.errors import CalibrationError, ConfigError
+from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import plain
 from rgbd_calib.io.recording import Recording
@@ -78,6 +79,7 @@ class Calibration:
     """On the recording itself; None where no two cameras have depth on the same corner."""
 
 
+@one_blas_thread
 def calibrate(
     recording: Recording,
     config: Config,
@@ -210,12 +212,13 @@ def prepare_views(
 
 def reference_of(config: Config, cameras: Sequence[str]) -> str:
     """The camera whose frame is the world."""
-    reference = config.reference or cameras[0]
+    reference = cameras[0] if config.reference is None else config.reference
     if reference not in cameras:
         raise ConfigError(f"reference: '{reference}' seen, one of {', '.join(cameras)} needed. Choose one of them")
     return reference
 
 
+@one_blas_thread
 def refine_correspondences(
     data: Correspondences, lenses: IntrinsicsSource, config: Config, reference: str
 ) -> tuple[Rig, RefinementResult | None]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -12,10 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
+from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.io import tables
 from rgbd_calib.io.depth_files import NO_MEASUREMENT
 from rgbd_calib.io.exports.common import without_lens
+from rgbd_calib.io.images import MAX_BYTES
+from rgbd_calib.io.reading import read_bytes
 from rgbd_calib.io.recording import Recording, save_color, save_depth, write_dataset
 from rgbd_calib.io.rig import write_rig
 from rgbd_calib.pipeline.detection import Progress, silent
@@ -83,6 +86,7 @@ def correct_depth(depth_raw: np.ndarray, scale: float, camera: RigCamera) -> tup
     return np.where(fits, units, 0).astype(np.uint16), lost, int(np.count_nonzero(held))
 
 
+@one_blas_thread
 def correct(
     recording: Recording,
     rig: Rig,
@@ -119,7 +123,7 @@ def correct(
         if to is None:
             target = out / camera / "color" / f"{frame}{source.suffix}"
             target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source, target)
+            target.write_bytes(read_bytes(source, MAX_BYTES))
         else:
             save_color(out, camera, frame, _bilinear(recording.color(camera, frame), to))
         return 0, 0
@@ -145,7 +149,7 @@ def correct(
     for camera in cameras:
         for table in _TABLES:
             if (recording.path / camera / table).exists():
-                shutil.copyfile(recording.path / camera / table, out / camera / table)
+                (out / camera / table).write_bytes(read_bytes(recording.path / camera / table, tables.MAX_BYTES))
     extra = recording.extra | {"corrected": {"depth_bias": True, "undistorted": undistort}}
     write_dataset(out, infos, recording.board, extra)
     write_rig(out / "rig.yaml", fitting)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import cv2
+from threadpoolctl import threadpool_limits
 
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.pipeline.workers import AHEAD
@@ -91,4 +92,5 @@ class Cluster:
 
 def _one_thread(function: Callable[[Any], Any], item: Any) -> Any:
     cv2.setNumThreads(1)  # the cluster gives one image to each of its threads
+    threadpool_limits(1, user_api="blas")
     return function(item)

@@ -21,7 +21,10 @@ import PIL
 import scipy
 
 import rgbd_calib
+from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.cache import FileCache
+from rgbd_calib.io.images import MAX_BYTES
+from rgbd_calib.io.reading import read_chunks
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.types import Board, BoardView
@@ -30,7 +33,6 @@ from rgbd_calib.views.detect import DetectParams
 Contents = tuple[str, str]
 """SHA-256 of the colour file and of the depth file, empty where there is no depth."""
 _FIELDS = ("ids", "corners_px", "depth_m", "depth_pixels")
-_CHUNK = 2**20
 
 
 @lru_cache
@@ -55,7 +57,7 @@ def contents(recording: Recording, camera: str, frame: str) -> Contents | None:
     depth = recording.depth_files[camera].get(frame)
     try:
         return _sha256(recording.color_files[camera][frame]), "" if depth is None else _sha256(depth)
-    except OSError:
+    except ConfigError:
         return None
 
 
@@ -142,7 +144,6 @@ def read_entry(data: bytes, camera: str, frame: str) -> tuple[BoardView | None] 
 
 def _sha256(path: Path) -> str:
     total = hashlib.sha256()
-    with path.open("rb") as stream:
-        while part := stream.read(_CHUNK):
-            total.update(part)
+    for part in read_chunks(path, MAX_BYTES):
+        total.update(part)
     return total.hexdigest()

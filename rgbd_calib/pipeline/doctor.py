@@ -13,6 +13,7 @@ import numpy as np
 from rgbd_calib.cameras.intrinsics import calibrate_intrinsics
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.correspondences import read_corners
@@ -85,6 +86,7 @@ class _Look:
     detector: str | None = None
 
 
+@one_blas_thread
 def examine(
     recording: Recording,
     config: Config,

@@ -16,6 +16,7 @@ import numpy as np
 
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3, so3
+from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_boards, read_rig
@@ -157,6 +158,7 @@ def against_views(rig: Rig, placed: Sequence[PlacedView], board: Board) -> Evalu
     return Evaluation(tuple(pairs), {})
 
 
+@one_blas_thread
 def evaluate_truth(rig: Path, truth: Path) -> dict[str, Any]:
     """Summary of a rig file against a simulation's truth.yaml; the board is that of the recording beside it."""
     beside = truth.parent / "extrinsic"
@@ -164,6 +166,7 @@ def evaluate_truth(rig: Path, truth: Path) -> dict[str, Any]:
     return against_truth(read_rig(rig), read_rig(truth), read_boards(truth), board).summary()
 
 
+@one_blas_thread
 def evaluate_recording(
     rig_path: Path, path: Path, corners: Path | None, config: Config, workers: Workers | None, progress: Progress
 ) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import whole_file
 from rgbd_calib.io.recording import Recording
@@ -59,6 +60,7 @@ def fullest_frame(recording: Recording, cameras: tuple[str, ...]) -> str:
     return best
 
 
+@one_blas_thread
 def clouds_of(recording: Recording, rig: Rig, frame: str, params: FuseParams = FuseParams()) -> tuple[Cloud, ...]:
     """One cloud for each camera that has depth in this frame, in the recording's order.
 

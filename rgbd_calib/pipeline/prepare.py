@@ -14,6 +14,7 @@ from rgbd_calib.cameras.intrinsics import IntrinsicsResult, calibrate_intrinsics
 from rgbd_calib.cameras.wall import wall_depth
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.recording import CameraInfo, Recording, open_recording
 from rgbd_calib.io.rig import read_depth_bias, read_depth_bias_samples, read_intrinsics, read_intrinsics_sd
@@ -25,6 +26,7 @@ from rgbd_calib.views.board_pose import pose_view
 from rgbd_calib.views.doctor import check_stems
 
 
+@one_blas_thread
 def intrinsics_of_views(
     recording: Recording, detections: Detections, config: Config, cameras: Sequence[str] | None = None
 ) -> dict[str, IntrinsicsResult]:
@@ -37,7 +39,7 @@ def intrinsics_of_views(
     """
     board = board_of(recording)
     out = {}
-    for name in cameras or recording.cameras:
+    for name in recording.cameras if cameras is None else cameras:
         info, views = recording.cameras[name], detections.of(name)
         if not views:
             raise CalibrationError(
@@ -145,6 +147,7 @@ def given_intrinsics(source: Path, cameras: Sequence[str]) -> IntrinsicsSource:
     return IntrinsicsSource({name: given[name] for name in cameras}, str(source), {}, (), read_intrinsics_sd(source))
 
 
+@one_blas_thread
 def depth_bias_of_recording(
     recording: Recording,
     intrinsics: Mapping[str, Intrinsics],

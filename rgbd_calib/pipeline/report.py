@@ -11,6 +11,7 @@ from jinja2 import TemplateError
 
 from rgbd_calib.errors import ConfigError, RgbdCalibError
 from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import write_text
@@ -18,6 +19,7 @@ from rgbd_calib.io.recording import Recording, open_recording
 from rgbd_calib.io.residuals import Residuals, read_residuals_of, residuals_path
 from rgbd_calib.io.rig import read_boards, read_depth_bias_samples, read_rig
 from rgbd_calib.io.tables import short
+from rgbd_calib.io.text import valid
 from rgbd_calib.pipeline import fuse
 from rgbd_calib.pipeline.rig_inputs import common_cameras
 from rgbd_calib.report import splat
@@ -77,6 +79,7 @@ def report_of_file(path: Path, recording: Path | None, depth_bias: Path | None, 
         ) from error
 
 
+@one_blas_thread
 def write_report(
     folder: Path,
     title: str,
@@ -95,7 +98,7 @@ def write_report(
         except RgbdCalibError as error:
             missing["clouds"] = f"The clouds are not shown: {error}."
     path = folder / "index.html"
-    write_text(path, render(Contents(title, rig, boards, residuals, pictures, note, missing)))
+    write_text(path, valid(render(Contents(title, rig, boards, residuals, pictures, note, missing))))
     return path
 
 

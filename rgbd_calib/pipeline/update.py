@@ -15,6 +15,7 @@ import numpy as np
 
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import plain
@@ -50,6 +51,7 @@ class Update:
     """Plain numbers, for the rig's quality."""
 
 
+@one_blas_thread
 def update_camera(
     rig: Rig,
     name: str,

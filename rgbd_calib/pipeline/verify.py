@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError
+from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.config import Config
@@ -46,6 +47,7 @@ class Verification:
     """Why, by (camera, frame), of views that fit nothing."""
 
 
+@one_blas_thread
 def verify(
     rig: Rig, recording: Recording, views: Sequence[BoardView], config: Config, params: VerdictParams
 ) -> Verification:
@@ -60,6 +62,7 @@ def verify(
     return verify_views(rig, views, board_of(recording), cameras, config, params)
 
 
+@one_blas_thread
 def verify_views(
     rig: Rig, views: Sequence[BoardView], board: Board, cameras: Sequence[str], config: Config, params: VerdictParams
 ) -> Verification:

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 import cv2
+from threadpoolctl import threadpool_limits
 
 from rgbd_calib.errors import CalibrationError
 
@@ -210,6 +211,7 @@ def _begin() -> None:
     """In a new worker: Ctrl-C is the parent's, and without a parent there is nothing to live for."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)  # one image a process is faster than several threads an image
+    threadpool_limits(1, user_api="blas")
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_die_with, args=(parent.sentinel,), daemon=True).start()
@@ -222,10 +224,11 @@ def _die_with(sentinel: int) -> None:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """OpenCV in one thread, as it was afterwards."""
+    """OpenCV and linear algebra in one thread, as they were afterwards."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        yield
+        with threadpool_limits(1, user_api="blas"):
+            yield
     finally:
         cv2.setNumThreads(before)

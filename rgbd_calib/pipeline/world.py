@@ -11,6 +11,7 @@ import numpy as np
 
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.calibrate import Calibration
@@ -58,6 +59,7 @@ def world_motion(
     )
 
 
+@one_blas_thread
 def in_world(result: Calibration, world: str, recording: Recording, seed: int) -> Calibration:
     """A calibration in another world: rig, board poses and joint covariance."""
     T, kept = world_motion(world, result.rig, result.boards, recording, seed)
@@ -68,6 +70,7 @@ def in_world(result: Calibration, world: str, recording: Recording, seed: int) -
     return replace(result, rig=moved_rig(result.rig, T, kept), boards=boards, joint=joint)
 
 
+@one_blas_thread
 def rig_in_world(
     rig: Rig, world: str, recording: Recording, detections: Detections | None, config: Config
 ) -> tuple[Rig, dict[str, FloatArray]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.io.plain import to_json, to_json_in_html
 from rgbd_calib.io.residuals import Residuals
 from rgbd_calib.report import figures, numbers
 from rgbd_calib.report.figures import Figure, css_color
@@ -96,9 +96,9 @@ def render(contents: Contents) -> str:
         pictures=[(p.view, _jpeg(p.before), _jpeg(p.after)) for p in contents.pictures],
         cloud_note=contents.cloud_note,
         missing=contents.missing,
-        figures_json=json.dumps({f"fig_{k}": v for k, v in drawn.items()}, separators=(",", ":")).replace("</", "<\\/"),
+        figures_json=to_json_in_html({f"fig_{k}": v for k, v in drawn.items()}),
         plotly=get_plotlyjs(),
-        config=json.dumps(rig.provenance.get("config", {}), indent=1),
+        config=to_json(rig.provenance.get("config", {}), indent=1),
     )
 
 

@@ -11,6 +11,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.io import recording as files
 from rgbd_calib.io.schema_parts import DepthCameraModel
 from rgbd_calib.simulation import rig
@@ -31,6 +32,7 @@ CORNER_COLUMNS = (
 )  # fmt: skip
 
 
+@one_blas_thread
 def simulate(folder: Path, params: SimulationParams, jobs: int, progress: Progress) -> dict[str, int]:
     """Write extrinsic/, intrinsic/, depth_bias/, truth.yaml and true_corners.csv into an existing empty folder.
 

@@ -6,12 +6,11 @@ p1, p2 with OpenCV's meaning, OPENCV_FISHEYE k1 to k4. Images are not copied; `f
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.exports.common import FISHEYE, Carried, Export, Options, bias_note, coefficients, with_carried_lenses
+from rgbd_calib.io.plain import to_json
 from rgbd_calib.types import Rig
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -48,5 +47,5 @@ def export(rig: Rig, options: Options) -> Export:
         )
     notes = (f"file_path is {frames[0]['file_path']} and so on; change it with --image-name",)
     model = "OPENCV_FISHEYE" if models == {"kannala_brandt"} else "OPENCV"
-    text = json.dumps({"camera_model": model, "frames": frames}, indent=1, ensure_ascii=False) + "\n"
+    text = to_json({"camera_model": model, "frames": frames}, indent=1, ensure_ascii=False) + "\n"
     return Export({"": text}, refitted + notes + bias_note(rig, "nerfstudio"))

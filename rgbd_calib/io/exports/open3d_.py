@@ -5,10 +5,9 @@ Open3D's pixel (0, 0) is the centre of the top left pixel, as here. Matrices are
 
 from __future__ import annotations
 
-import json
-
 from rgbd_calib.geometry import se3
 from rgbd_calib.io.exports.common import Carried, Export, Options, bias_note, with_carried_lenses
+from rgbd_calib.io.plain import to_json
 from rgbd_calib.types import Rig
 
 
@@ -35,4 +34,4 @@ def export(rig: Rig, options: Options) -> Export:
         f"Open3D knows no camera names; the order is {', '.join(rig.cameras)}",
         *bias_note(rig, "Open3D"),
     )
-    return Export({"": json.dumps(head | {"parameters": parameters}, indent=1) + "\n"}, notes)
+    return Export({"": to_json(head | {"parameters": parameters}, indent=1) + "\n"}, notes)

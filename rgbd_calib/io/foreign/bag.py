@@ -11,6 +11,7 @@ import numpy as np
 
 from rgbd_calib.errors import ConfigError, RgbdCalibError
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.io.bag_limits import limit_expansion
 from rgbd_calib.io.calibrations.common import rigid_of_quaternion
 
 SUFFIXES = (".bag", ".mcap", ".db3")
@@ -70,6 +71,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
+    limit_expansion()
     with faults(str(path)):
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()

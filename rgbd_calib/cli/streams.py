@@ -1,0 +1,120 @@
+"""Standard output is for results only, and a closed pipe (`| head`) does not stop a command.
+
+While a command runs, everything that libraries print, from Python or C, goes to standard error; results go to standard
+output through :func:`show`. After the reader has closed the pipe, further results are dropped: the command finishes, its
+files are written, and the exit status is its own.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout
+from functools import wraps
+from typing import Any, TextIO
+
+import click
+
+_RESULTS = f"{__name__}.results"
+
+
+def show(text: str) -> None:
+    """Print a result, on standard output."""
+    click.echo(_printable(text), file=click.get_current_context().meta.get(_RESULTS))
+
+
+def say(text: str) -> None:
+    """Print a message for the user, on standard error."""
+    click.echo(_printable(text), err=True)
+
+
+def results_apart(callback: Callable[..., Any]) -> Callable[..., Any]:
+    """The body of a command, with its `show` on standard output and all that is printed otherwise on standard error."""
+
+    @wraps(callback)
+    def run(*args: Any, **options: Any) -> Any:
+        click.get_current_context().meta[_RESULTS] = sys.stdout
+        with redirect_stdout(sys.stderr):
+            return callback(*args, **options)
+
+    return run
+
+
+class _Output(io.FileIO):
+    """A descriptor whose errors come at the end: work does not stop because nobody can read of it."""
+
+    failed: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            self.failed = self.failed or error
+            return len(data)
+
+
+@contextmanager
+def standard_streams() -> Iterator[Callable[[], OSError | None]]:
+    """Standard streams that outlive their readers, and standard output for nothing but Python's own.
+
+    Yields
+    ------
+    A function that flushes, and gives the error that results were lost by, such as a full disk; None where nothing
+    was lost, or nobody wanted it.
+    """
+    _open_closed()
+    sys.stdout = sys.stdout or os.fdopen(1, "w", closefd=False)
+    sys.stderr = sys.stderr or os.fdopen(2, "w", closefd=False)
+    if not (_is_descriptor(sys.stdout, 1) and _is_descriptor(sys.stderr, 2)):  # a notebook, a test
+        yield lambda: None
+        return
+    sys.stdout.flush()
+    before = sys.stdout, sys.stderr
+    own = os.dup(1)
+    results, messages = _Output(own, "wb"), _Output(2, "wb", closefd=False)
+    os.dup2(2, 1)
+    sys.stdout, sys.stderr = _text(results, before[0]), _text(messages, before[1])
+
+    def lost() -> OSError | None:
+        sys.stdout.flush()
+        failed = results.failed
+        return None if isinstance(failed, BrokenPipeError) else failed
+
+    try:
+        yield lost
+    finally:
+        sys.stderr.flush()
+        os.dup2(own, 1)
+        sys.stdout.close()
+        sys.stdout, sys.stderr = before
+
+
+def _open_closed() -> None:
+    """Open what was closed (`>&-`), or the next file that is opened would be standard output to a library."""
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+
+
+def _is_descriptor(stream: TextIO | None, number: int) -> bool:
+    try:
+        return stream is not None and stream.fileno() == number
+    except (OSError, ValueError):
+        return False
+
+
+def _text(raw: _Output, like: TextIO) -> TextIO:
+    """A text stream over `raw`; characters that its encoding lacks are escaped."""
+    return io.TextIOWrapper(
+        io.BufferedWriter(raw), encoding=like.encoding, errors="backslashreplace", line_buffering=True
+    )
+
+
+def _printable(text: str) -> str:
+    from rgbd_calib.io.text import printable
+
+    return printable(text)
