@@ -84,7 +84,7 @@ def measure(work: Path, layout: str, seed: int) -> dict:
     """One row: alignment in mm of the three, and the bundle's NEES, on one simulated recording."""
     folder = work / f"{layout.replace(' ', '_')}_{seed}"
     if not folder.exists():
-        command = [sys.executable, "-m", "rgbd_calib", "simulate", str(folder), "--seed", str(seed)]
+        command = [sys.executable, "-m", "rgbd_calib", "simulate", str(folder), "--ideal", "--seed", str(seed)]
         subprocess.run([*command, *LAYOUTS[layout]], check=True)
     extrinsic, intrinsic = open_recording(folder / "extrinsic"), open_recording(folder / "intrinsic")
     truth, boards = read_rig(folder / "truth.yaml"), read_boards(folder / "truth.yaml")

@@ -1,28 +1,31 @@
-"""Compares ways of finding a board and of refining its corners, on simulated recordings whose corners are known.
+"""Compares finders of checkerboards, and ways of refining corners: on drawn images, on images without a board, on recordings.
 
-Finders: how many of the boards that are whole in the image each finds, how many it finds in a wrong place, and the time
-where there is a board and where there is none (the same images, the board painted over). Refinements, all from the same
-start, of the boards that OpenCV's exhaustive search finds: the error, and how much of it a whole board has in common
-(independent errors leave RMS / sqrt(corners)). Recordings without true corners count with the boards found, and with
-the scatter about a homography with a smooth part.
+Drawn images (scripts/detection_images.py) and recordings that `rgbd-calib simulate` made have known corners: a board counts
+as found if every corner is within WRONG_SQUARES of a square of its place. In recordings without true corners, any board
+found counts. Times are CPU time on one core, reading excluded. Refinements start from the same corners, those of OpenCV's
+exhaustive search: their error, and the part of it that a whole board has in common (independent errors leave
+RMS / sqrt(corners)).
 """
 
 from __future__ import annotations
 
 import csv
 import json
-import tempfile
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 import cv2
 import numpy as np
+from detection_images import BOARDS, LOOKS, room_pictures, with_board, without_board
 
-from rgbd_calib.io.recording import open_recording
+from rgbd_calib.io.files import load_yaml
+from rgbd_calib.io.images import as_bgr, read_image
+from rgbd_calib.io.schemas import BoardModel
 from rgbd_calib.types import Board
 from rgbd_calib.views.detect import DetectParams, find_corners, subpixel
 from rgbd_calib.views.detect.checkerboard import find_checkerboard
@@ -96,8 +99,19 @@ def roughness(grid: np.ndarray, corners: np.ndarray) -> float:
     return float(np.sqrt((off**2).sum() / (2 * (len(grid) - basis.shape[1]))))
 
 
-def load(folder: Path) -> list[dict[str, Any]]:
-    """Images of a simulated folder or of one recording, with the true corners of each whole board."""
+@dataclass(frozen=True)
+class Sample:
+    """An image (h, w), uint8, and the true corners (n, 2), px, of its board where they are known and all visible."""
+
+    gray: np.ndarray
+    board: Board
+    true_px: np.ndarray | None
+    known: bool
+    """Whether the corners are known; if so and `true_px` is None, there is no whole board."""
+
+
+def load(folder: Path) -> list[Sample]:
+    """Colour and infrared images of a simulated folder or of one recording."""
     truth: dict[tuple[str, ...], dict[str, dict[int, tuple[float, float, bool]]]] = defaultdict(
         lambda: defaultdict(dict)
     )
@@ -106,19 +120,27 @@ def load(folder: Path) -> list[dict[str, Any]]:
             for row in csv.DictReader(file):
                 key, at = (row["recording"], row["camera"], row["frame"]), (float(row["u_px"]), float(row["v_px"]))
                 truth[key][row["face"]][int(row["feature"])] = (*at, row["visible"] == "1")
-    recordings = [folder / name for name in ("extrinsic", "intrinsic")] if truth else [folder]
-    images = []
-    for path in recordings:
-        recording = open_recording(path)
-        assert recording.board is not None
-        for camera, files in recording.color_files.items():
-            for frame in files:
-                gray = cv2.cvtColor(recording.color(camera, frame), cv2.COLOR_BGR2GRAY)
-                faces = truth.get((path.name, camera, frame), {}).values()
-                whole = [f for f in faces if len(f) == recording.board.n_corners and all(c[2] for c in f.values())]
-                true_px = np.array([whole[0][i][:2] for i in sorted(whole[0])]) if whole else None
-                images.append({"gray": gray, "board": recording.board, "true": true_px, "known": bool(truth)})
-    return images
+    samples = []
+    for recording in [folder / name for name in ("extrinsic", "intrinsic")] if truth else [folder]:
+        board = BoardModel(**load_yaml(recording / "dataset.yaml")["board"]).value()
+        for path in sorted(p for kind in ("color", "ir") for p in recording.glob(f"*/{kind}/*")):
+            faces = truth.get((recording.name, path.parts[-3], path.stem), {}).values()
+            whole = [f for f in faces if len(f) == board.n_corners and all(c[2] for c in f.values())]
+            true_px = np.array([whole[0][i][:2] for i in sorted(whole[0])]) if whole else None
+            samples.append(Sample(_gray(read_image(path)), board, true_px, bool(truth)))
+    return samples
+
+
+def _gray(image: np.ndarray) -> np.ndarray:
+    if image.ndim == 3:
+        return cv2.cvtColor(as_bgr(image), cv2.COLOR_BGR2GRAY)
+    return image if image.dtype == np.uint8 else cv2.convertScaleAbs(image, alpha=200 / np.percentile(image, 99))
+
+
+def drawn(kind: str, n: int) -> list[Sample]:
+    rng = np.random.default_rng([1, *kind.encode()])
+    boards = [with_board(kind, rng) for _ in range(n)]
+    return [Sample(b.gray, b.board, b.true_px, True) for b in boards]
 
 
 def nearest_order(corners: np.ndarray, true_px: np.ndarray, board: Board) -> np.ndarray:
@@ -128,63 +150,74 @@ def nearest_order(corners: np.ndarray, true_px: np.ndarray, board: Board) -> np.
     return min(orders, key=lambda order: float(np.nanmean(np.abs(corners - order))))
 
 
-def painted_over(image: dict[str, Any]) -> np.ndarray:
-    """The image without its board."""
-    gray, true_px = image["gray"].copy(), image["true"]
-    around = (true_px - true_px.mean(axis=0)) * 1.5 + true_px.mean(axis=0)
-    cv2.fillConvexPoly(gray, cv2.convexHull(around.astype(np.int32)), int(np.median(gray)))
-    return gray
+def is_right(corners: np.ndarray | None, sample: Sample) -> bool:
+    if corners is None or sample.true_px is None:
+        return corners is not None and not sample.known
+    off = np.abs(corners - nearest_order(corners, sample.true_px, sample.board))
+    grid = sample.true_px.reshape(sample.board.rows, sample.board.cols, 2)
+    side = min(np.linalg.norm(np.diff(grid, axis=a), axis=-1).min() for a in (0, 1))
+    return bool(np.nanmax(off) < WRONG_SQUARES * side)
 
 
-def study_finders(images: list[dict[str, Any]], names: list[str]) -> list[dict[str, Any]]:
-    rows = []
-    known, real = [i for i in images if i["true"] is not None], [i for i in images if not i["known"]]
+def study_finders(kind: str, samples: list[Sample], names: list[str]) -> dict[str, Any]:
+    """How many boards of a kind of images each finder finds, and all but the first one together."""
+    row: dict[str, Any] = {"images": kind, "n": len(samples)}
+    right = {}
     for name in names:
-        found = wrong = elsewhere = 0
-        seconds: dict[str, list[float]] = {"board": [], "none": []}
-        for image in known:
-            begin = time.process_time()
-            corners = FINDERS[name](image["gray"], image["board"])
-            seconds["board"].append(time.process_time() - begin)
-            if corners is not None:
-                off = np.abs(corners - nearest_order(corners, image["true"], image["board"]))
-                grid = image["true"].reshape(image["board"].rows, image["board"].cols, 2)
-                side = min(np.linalg.norm(np.diff(grid, axis=a), axis=-1).min() for a in (0, 1))
-                good = bool(np.nanmax(off) < WRONG_SQUARES * side)
-                found, wrong = found + good, wrong + (not good)
-        for image in known[::3]:
-            gray = painted_over(image)
-            begin = time.process_time()
-            FINDERS[name](gray, image["board"])
-            seconds["none"].append(time.process_time() - begin)
         begin = time.process_time()
-        elsewhere = sum(FINDERS[name](image["gray"], image["board"]) is not None for image in real)
-        row = {"finder": name, "found": found, "of": len(known), "wrong": wrong}
-        row |= {f"ms_{kind}": 1e3 * float(np.mean(values)) for kind, values in seconds.items() if values}
-        if real:
-            row |= {"found_real": elsewhere, "ms_real": 1e3 * (time.process_time() - begin) / len(real)}
-        rows.append(row)
-    return rows
+        corners = [FINDERS[name](sample.gray, sample.board) for sample in samples]
+        ms = 1e3 * (time.process_time() - begin) / len(samples)
+        right[name] = [is_right(c, sample) for c, sample in zip(corners, samples, strict=True)]
+        seen = sum(
+            c is not None and (s.true_px is not None or not s.known) for c, s in zip(corners, samples, strict=True)
+        )
+        row |= {name: sum(right[name]), f"{name}, wrong": seen - sum(right[name]), f"{name}, ms": ms}
+        errors = [c - nearest_order(c, s.true_px, s.board) for c, s, ok in zip(corners, samples, right[name], strict=True)
+                  if ok and s.true_px is not None]  # fmt: skip
+        if errors:
+            row[f"{name}, median px"] = float(np.median([np.sqrt(np.nanmean(e**2)) for e in errors]))
+    if len(names) > 1:
+        row["all others together"] = sum(map(any, zip(*(right[name] for name in names[1:]), strict=True)))
+    return row
 
 
-def study_refinements(images: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def study_without(n: int, names: list[str], compared: int) -> list[dict[str, Any]]:
+    """Boards found in images that hold none: `n` images for the first finder, `compared` for the others."""
+    rng = np.random.default_rng(2)
+    scenes = list(room_pictures(10, rng)) if n else []
+    found, seconds, looked = Counter[str](), Counter[str](), Counter[str]()
+    for k in range(n):
+        gray, board = without_board(rng, scenes), Board(*BOARDS[rng.integers(len(BOARDS))], 1.0)
+        for name in names if k < compared else names[:1]:
+            begin = time.process_time()
+            found[name] += FINDERS[name](gray, board) is not None
+            seconds[name] += time.process_time() - begin
+            looked[name] += 1
+    return [
+        {"finder": f, "images without a board": looked[f], "found": found[f], "ms": 1e3 * seconds[f] / looked[f]}
+        for f in names
+        if looked[f]
+    ]
+
+
+def study_refinements(samples: list[Sample]) -> list[dict[str, Any]]:
     errors: dict[str, list[np.ndarray]] = defaultdict(list)
     rough: dict[str, list[float]] = defaultdict(list)
     seconds: dict[str, list[float]] = defaultdict(list)
-    for image in images:
-        board, gray = image["board"], image["gray"]
+    for sample in samples:
+        board, gray = sample.board, sample.gray
         start = FINDERS["SB exhaustive"](gray, board)
         if (
             start is None
-            or (image["known"] and image["true"] is None)
+            or (sample.known and sample.true_px is None)
             or not find_checkerboard(gray, board, DetectParams())
         ):
             continue
         grid = np.stack(np.divmod(np.arange(board.n_corners), board.cols)[::-1], axis=1).astype(float)
         for name, (corners, took) in refinements(gray, grid, start).items():
             seconds[name].append(took)
-            if image["known"]:
-                errors[name].append(corners - nearest_order(corners, image["true"], board))
+            if sample.true_px is not None:
+                errors[name].append(corners - nearest_order(corners, sample.true_px, board))
             else:
                 rough[name].append(roughness(grid, corners))
     rows = []
@@ -213,43 +246,42 @@ def table(rows: list[dict[str, Any]]) -> str:
             else str(value)
         )
 
-    cells = [list(rows[0]), *([text(value) for value in row.values()] for row in rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in [cells[0], ["---"] * len(cells[0]), *cells[1:]])
+    keys = list(dict.fromkeys(key for row in rows for key in row))
+    cells = [keys, ["---"] * len(keys), *([text(row[key]) if key in row else "" for key in keys] for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in cells)
 
 
 @click.command()
 @click.argument("recordings", nargs=-1, type=click.Path(path_type=Path, exists=True))
-@click.option("--finder", "names", multiple=True, type=click.Choice(list(FINDERS)), help="Only these.  [default: all]")
+@click.option(
+    "--finder", "names", multiple=True, type=click.Choice(list(FINDERS)), help="Only these.  [default: three]"
+)
+@click.option("--drawn", "n_drawn", default=40, show_default=True, help="Drawn images of each kind.")
+@click.option("--without", "n_without", default=200, show_default=True, help="Images without a board.")
+@click.option("--compared", default=40, show_default=True, help="Of these for all finders, the rest for the first.")
+@click.option("--refinements", is_flag=True, help="Compare refinements on RECORDINGS too.")
 @click.option("--json", "as_json", is_flag=True, help="Numbers instead of tables.")
-def main(recordings: tuple[Path, ...], names: tuple[str, ...], as_json: bool) -> None:
-    """Compare finders and refinements on RECORDINGS: folders that `simulate` made, or recordings without truth."""
+def main(
+    recordings: tuple[Path, ...],
+    names: tuple[str, ...],
+    n_drawn: int,
+    n_without: int,
+    compared: int,
+    refinements: bool,
+    as_json: bool,
+) -> None:
+    """Compare finders on drawn images and on RECORDINGS: folders that `simulate` made, or recordings without truth."""
     cv2.setNumThreads(1)
-    with tempfile.TemporaryDirectory() as scratch:
-        if not recordings:
-            from rgbd_calib.cli.simulate import command
-
-            command(
-                [
-                    scratch,
-                    "--overwrite",
-                    "--cameras",
-                    "2",
-                    "--frames",
-                    "12",
-                    "--intrinsic-views",
-                    "6",
-                    "--distances",
-                    "1,2",
-                ],
-                standalone_mode=False,
-            )
-            recordings = (Path(scratch),)
-        images = [image for folder in recordings for image in load(folder)]
-        result = {
-            "finders": study_finders(images, list(names) or list(FINDERS)),
-            "refinements": study_refinements(images),
-        }
-    click.echo(json.dumps(result, indent=1) if as_json else "\n\n".join(table(rows) for rows in result.values()))
+    finders = list(names) or ["rgbd-calib", "SB exhaustive", "quads"]
+    rows = [study_finders(kind, drawn(kind, n_drawn), finders) for kind in LOOKS if n_drawn]
+    loaded = {folder: load(folder) for folder in recordings}
+    rows += [study_finders(folder.name, samples, finders) for folder, samples in loaded.items()]
+    result = {"finders": rows, "without": study_without(n_without, finders, compared)}
+    if refinements:
+        result["refinements"] = study_refinements([sample for samples in loaded.values() for sample in samples])
+    click.echo(
+        json.dumps(result, indent=1) if as_json else "\n\n".join(table(part) for part in result.values() if part)
+    )
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from rgbd_calib.trust.self_check import calibration as self_check
 STAGES: dict[str, list[tuple[Any, str]]] = {
     "corners and their depth": [(calibrate, "detect"), (prepare, "detect")],
     "intrinsics (start)": [(prepare, "calibrate_intrinsics")],
-    "depth bias": [(prepare, "depth_bias_of_recording")],
+    "depth bias": [(prepare, "depth_of_recording")],
     "plane filter": [(calibrate, "filter_planes")],
     "board poses": [(calibrate, "pose_view")],
     "association": [(calibrate, "associate")],

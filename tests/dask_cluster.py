@@ -25,9 +25,8 @@ class Cluster:
         here = Path(__file__).parent
         self.environment = os.environ | {
             "DASK_DISTRIBUTED__WORKER__MEMORY__TERMINATE": "False",
-            "PYTHONPATH": os.pathsep.join(
-                (str(here), str(here.parent))
-            ),  # the functions above; the package that is tested
+            # the functions above, the package that is tested, and what this process imports
+            "PYTHONPATH": os.pathsep.join(filter(None, [str(here), str(here.parent), os.environ.get("PYTHONPATH")])),
         }
         self._start("scheduler", "--port", "0", "--scheduler-file", folder / "scheduler.json", "--no-dashboard")
         wait_for((folder / "scheduler.json").exists)

@@ -20,7 +20,7 @@ BIAS = DepthBias((0.004, -0.006, 0.002), 0.5, 4.0, 0.001)
 
 
 def field(size=(512, 424), powers=(0, 2)):
-    coefficients = np.random.default_rng(1).normal(0, 0.001, (len(powers), n_terms(4)))
+    coefficients = np.random.default_rng(1).normal(0, 0.001, (len(powers), n_terms(4) - 1))
     return PolynomialField(*size, 4, powers, coefficients, 0.5, 4.0)
 
 
@@ -79,5 +79,5 @@ def test_a_rig_file_keeps_the_depth_sensor(tmp_path, own):
 def test_a_field_of_the_wrong_length_is_refused(tmp_path):
     wrong = replace(field(), coefficients=np.zeros((1, 3)))
     write_rig(tmp_path / "rig.yaml", Rig("C1", {"C1": RigCamera(COLOR, np.eye(4), np.zeros((6, 6)), None, {}, wrong)}))
-    with pytest.raises(ConfigError, match=r"depth_field.*2 x 15"):
+    with pytest.raises(ConfigError, match=r"depth_field.*2 x 14"):
         read_rig(tmp_path / "rig.yaml")

@@ -9,9 +9,18 @@ import pytest
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.types import Board
-from rgbd_calib.views.detect import DetectParams, checkerboard, corner_depth, detect_view, find_corners, orient, refine
+from rgbd_calib.views.detect import (
+    DetectParams,
+    checkerboard,
+    corner_depth,
+    detect_view,
+    find_corners,
+    grids,
+    orient,
+    refine,
+)
 from rgbd_calib.views.detect.charuco import _layout
-from rgbd_calib.views.detect.saddles import board_corners
+from rgbd_calib.views.detect.saddles import find_saddles
 from rgbd_calib.views.detect.subpixel import _crossing
 
 BOARD = Board(9, 6, 0.06)
@@ -117,7 +126,7 @@ def test_the_model_has_the_derivatives_that_it_says():
         step = np.zeros((1, 7))
         step[0, k] = 1e-6
         slope = (_crossing(p + step, light, dx, dy)[0] - _crossing(p - step, light, dx, dy)[0]) / 2e-6
-        assert np.allclose(jacobian[..., k], slope, atol=1e-4)  # the Jacobian is kept in single precision
+        assert np.allclose(jacobian[:, k], slope, atol=1e-4)  # the Jacobian is kept in single precision
 
 
 @pytest.mark.parametrize("quarter_turns", range(4))
@@ -164,21 +173,20 @@ def test_squares_must_alternate():
     assert not checkerboard.alternates(rng.integers(0, 255, gray.shape).astype(np.uint8), grid)
 
 
-def test_an_image_without_a_board_costs_no_search(monkeypatch):
+def test_no_grid_is_grown_in_an_image_without_a_board(monkeypatch):
     rng = np.random.default_rng(5)
-    for name in ("_plain", "_enlarged", "_by_sectors"):
-        monkeypatch.setattr(checkerboard, name, lambda *_: pytest.fail("searched"))
+    monkeypatch.setattr(grids, "_grown", lambda *_: pytest.fail("a grid was grown"))
     clutter = cv2.resize(rng.integers(0, 255, (6, 8), np.uint8), (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST)
     noise = rng.integers(0, 255, (HEIGHT, WIDTH), np.uint8)
     for gray in (clutter, noise, np.full((HEIGHT, WIDTH), 128, np.uint8)):
         assert find_corners(gray, BOARD) is None
 
 
-def test_the_quick_look_sees_a_board():
+def test_the_strongest_saddles_are_the_corners():
     rng = np.random.default_rng(6)
     H, true_px = place(BOARD, rng, side_px=9.0)
-    seen = board_corners(draw(BOARD, H, rng), 3 * BOARD.n_corners)
-    near = np.linalg.norm(true_px[:, None] - seen, axis=-1).min(axis=1) < 1.5
+    seen = find_saddles(draw(BOARD, H, rng), 2 * BOARD.n_corners).px
+    near = np.linalg.norm(true_px[:, None] - seen, axis=-1).min(axis=1) < 0.5
     assert near.mean() > 0.9
 
 

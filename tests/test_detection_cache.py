@@ -36,6 +36,17 @@ def drawn(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(autouse=True)
+def young_files(monkeypatch):
+    """However long a test takes, its files are too young for their times to count."""
+    monkeypatch.setattr(detection_cache, "SETTLED_NS", 10**18)
+
+
+@pytest.fixture
+def old_files(monkeypatch, young_files):
+    monkeypatch.setattr(detection_cache, "SETTLED_NS", -(10**18))
+
+
 @pytest.fixture
 def recording(drawn, tmp_path):
     shutil.copytree(drawn, tmp_path / "recording")
@@ -63,7 +74,7 @@ def entries(folder):
 def test_what_is_read_back_is_what_was_found_bit_for_bit(recording, tmp_path, monkeypatch):
     first, said = found(recording, tmp_path / "cache")
     assert said == [] and len(first) == 5 and any(np.isnan(v.depth_m).all() for v in first)
-    monkeypatch.setattr(detection, "detect_view", None)  # nothing is detected any more
+    monkeypatch.setattr(detection, "find_corners", None)  # nothing is detected any more
     again, said = found(recording, tmp_path / "cache")
     assert bits(again) == bits(first)
     assert said == [f"{recording.path}: 6 of 6 images from the cache"]
@@ -153,16 +164,49 @@ def test_a_changed_image_is_looked_at_again_at_once(recording, tmp_path):
     assert bits(views) == bits(found(recording, None)[0])
 
 
+def test_a_second_run_reads_no_image(recording, tmp_path, monkeypatch, old_files):
+    first, _ = found(recording, tmp_path / "cache")
+    assert len(entries(tmp_path / "cache")) == 6 + 2  # and the hashes of each camera
+    monkeypatch.setattr(detection_cache, "_sha256", lambda path: pytest.fail(f"{path} was read"))
+    again, said = found(recording, tmp_path / "cache")
+    assert bits(again) == bits(first) and said == [f"{recording.path}: 6 of 6 images from the cache"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no time of change that cannot be set")
+def test_a_file_of_the_same_size_and_time_is_noticed(recording, tmp_path, old_files):
+    first, second = (recording.color_files["C1"][frame] for frame in ("000000", "000001"))
+    for path in (first, second):
+        path.write_bytes(path.read_bytes().ljust(2**20, b"\0"))  # after a PNG's end anything may follow
+    found(recording, tmp_path / "cache")
+    at = os.stat(first)
+    first.write_bytes(second.read_bytes())
+    os.utime(first, ns=(at.st_atime_ns, at.st_mtime_ns))
+    assert (os.stat(first).st_size, os.stat(first).st_mtime_ns) == (at.st_size, at.st_mtime_ns)
+    assert bits(found(recording, tmp_path / "cache")[0]) == bits(found(recording, None)[0])
+
+
+def test_young_files_are_hashed_again(recording, tmp_path):
+    found(recording, tmp_path / "cache")
+    assert len(entries(tmp_path / "cache")) == 6
+
+
+def test_damaged_hashes_are_taken_anew(recording, tmp_path, old_files):
+    good, _ = found(recording, tmp_path / "cache")
+    for damage in (b"", b"[1]", b"no JSON"):
+        for path in entries(tmp_path / "cache"):
+            path.write_bytes(damage)
+        assert bits(found(recording, tmp_path / "cache")[0]) == bits(good)
+
+
 def test_an_image_that_changes_under_the_detector_is_not_kept(recording, tmp_path, monkeypatch):
-    real, path = detection.detect_view, recording.color_files["C1"]["000000"]
+    real, path = detection.find_corners, recording.color_files["C1"]["000000"]
     replaced = recording.color_files["C1"]["000001"].read_bytes()
 
-    def slow(camera, frame, *rest):
-        if (camera, frame) == AT:
-            path.write_bytes(replaced)
-        return real(camera, frame, *rest)
+    def slow(*image_and_board):
+        path.write_bytes(replaced)  # the first image, while it is searched
+        return real(*image_and_board)
 
-    monkeypatch.setattr(detection, "detect_view", slow)
+    monkeypatch.setattr(detection, "find_corners", slow)
     found(recording, tmp_path / "cache")
     monkeypatch.undo()
     assert len(entries(tmp_path / "cache")) == 5
@@ -270,7 +314,10 @@ def test_two_processes_at_once(drawn, tmp_path):
     both = [subprocess.Popen([*command, str(tmp_path / name)], env=environment) for name in ("a.csv", "b.csv")]
     assert [process.wait(120) for process in both] == [0, 0]
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
-    assert len(entries(tmp_path / "cache")) == 6
+    assert len(entries(tmp_path / "cache")) in (
+        6,
+        6 + 2,
+    )  # with the hashes of each camera where the files are old enough
     assert len(found(open_recording(drawn), tmp_path / "cache")[1]) == 1
 
 

@@ -42,6 +42,8 @@ class DepthBiasParams:
     min_range_ratio: float = 1.25
     """The farthest distance over the nearest: below it, offset and scale cannot be told apart."""
     outlier_sigmas: float = 5.0
+    distance_sd_m: float = 0.002
+    """Of a wall's distance that distances.csv gives without `sd_m`: a tape measure."""
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ class BoardFinder:
     def __init__(self, board: Board) -> None:
         self.board = board
         self._pool = ThreadPoolExecutor(_THREADS, "detector", initializer=_be_nice)
-        self._params = DetectParams(escalate=False)  # 55 ms; the harder searches take up to 0.7 s
+        self._params = DetectParams(escalate=False)
 
     def find(self, pictures: Mapping[str, np.ndarray]) -> dict[str, Corners]:
         """Corners in pictures (h, w, 3), R G B, by camera."""

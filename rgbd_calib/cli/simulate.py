@@ -1,4 +1,4 @@
-"""`rgbd-calib simulate`: recordings with known truth."""
+"""`rgbd-calib simulate`: recordings with ground truth."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from rgbd_calib.cli import options
     "--frames",
     type=click.IntRange(1, 1000),
     default=None,
-    help="Poses of the board between the cameras.  [default: 30, or 8 for each camera where that is more]",
+    help="Board poses shared by the cameras.  [default: 30, or 8 per camera if that is more]",
 )
 @click.option(
     "--intrinsic-views",
     type=click.IntRange(0, 1000),
     default=20,
     show_default=True,
-    help="Close views of the board for each camera.",
+    help="Close views of the board per camera.",
 )
 @click.option(
     "--distances",
     default="0.6,0.9,1.2,1.5,1.8,2.2,2.6,3.0,3.5,4.0",
     show_default=True,
     metavar="METRES,...",
-    help="Distances of the wall in depth_bias/; each is moved by up to 3 cm, as by hand.",
+    help="Wall distances in depth_bias/; each is moved by up to 3 cm, as by hand.",
 )
 @click.option("--width", type=click.IntRange(160, 4096), default=640, show_default=True, help="Image width, px.")
 @click.option("--height", type=click.IntRange(120, 4096), default=480, show_default=True, help="Image height, px.")
@@ -74,53 +74,67 @@ from rgbd_calib.cli import options
     type=click.FloatRange(-5.0, 5.0),
     default=0.0,
     show_default=True,
-    help="Lateral chromatic aberration: how far red lies beyond green in the image's corners, and blue within it, px.",
+    help="Lateral chromatic aberration: shift of red outwards and of blue inwards in the image corners, px.",
 )
 @click.option(
-    "--jpeg", type=click.IntRange(1, 100), default=None, help="Colour images as JPEG of this quality, not PNG."
+    "--jpeg",
+    type=click.IntRange(1, 100),
+    default=None,
+    help="Save colour images as JPEG of this quality.  [default: PNG]",
 )
 @click.option(
     "--depth-k",
     type=click.FloatRange(0.0, 0.05),
     default=None,
-    help="Depth noise: one sigma is k z^2, z in metres; not below what the steps of disparity make, 0.00084 for structured "
-    "light. For tof, about one sigma on white paper at 1 m, metres.  [default: 0.0016; tof 0.0007; stereo 0.004]",
+    help="Depth noise: one sigma is k z^2, z in metres; at least the quantisation of disparity, 0.00084 for structured light. "
+    "For tof: one sigma on white paper at 1 m, metres.  [default: 0.0016; tof 0.0007; stereo 0.004]",
 )
 @click.option(
     "--sensor",
     type=click.Choice(["structured-light", "tof", "stereo"]),
     default="structured-light",
     show_default=True,
-    help="How depth is measured; tof is time of flight.",
+    help="Depth sensor; tof is time of flight.",
 )
 @click.option(
-    "--unregistered", is_flag=True, help="Depth images of a camera of their own, 52 mm beside the colour camera."
+    "--unregistered",
+    is_flag=True,
+    help="Depth is not registered to colour: a depth camera 52 mm beside the colour camera.",
 )
 @click.option(
     "--depth-size",
     type=click.Choice(["512x424", "640x576", "640x480"]),
     default=None,
-    help="Size of these, px.  [default: 512x424 for tof, else 640x480]",
+    help="With --unregistered: size of the depth images, px.  [default: 512x424 for tof, else 640x480]",
 )
-@click.option("--infrared", is_flag=True, help="With --unregistered: infrared images of the depth cameras too.")
+@click.option("--infrared", is_flag=True, help="With --unregistered: also save infrared images.")
 @click.option(
     "--lens",
     default="brown",
     show_default=True,
     metavar="KIND,...",
-    help="Lenses of the colour cameras, in turn: brown (5 coefficients), rational (8), fisheye (Kannala-Brandt).",
+    help="Lens models of the colour cameras, in turn: brown (5 coefficients), rational (8), fisheye (Kannala-Brandt).",
 )
-@click.option("--ideal", is_flag=True, help="None of the errors of real prints, sensors and walls below.")
-@click.option("--no-print-errors", is_flag=True, help="A flat board with square squares on both faces.")
-@click.option("--no-depth-field", is_flag=True, help="Depth that does not err over the image.")
-@click.option("--no-registration-error", is_flag=True, help="Depth images registered to their colour images exactly.")
-@click.option("--no-wall-errors", is_flag=True, help="Walls square to the camera, distances measured exactly.")
-@click.option("--no-multipath", is_flag=True, help="tof: no light that comes over other ways.")
-@click.option("--no-drift", is_flag=True, help="tof: a device that is warm from the start.")
-@click.option("--no-image-errors", is_flag=True, help="Fixed light, exposure and focus.")
-@click.option("--no-bias", is_flag=True, help="Depth sensors without bias.")
+@click.option("--ideal", is_flag=True, help="No print, depth field, registration, wall or image errors.")
 @click.option(
-    "--no-noise", is_flag=True, help="As --ideal; and no noise, no blur, no bias, depth exact to the millimetre."
+    "--print-scale",
+    type=click.FloatRange(0.0, 0.05),
+    default=0.0,
+    show_default=True,
+    help="Error of the stated square size, relative (one sigma).",
+)
+@click.option("--no-print-errors", is_flag=True, help="Exact prints on a flat board.")
+@click.option("--no-depth-field", is_flag=True, help="No depth error over the image.")
+@click.option(
+    "--no-registration-error", is_flag=True, help="Exact registration; with --unregistered, exact factory calibration."
+)
+@click.option("--no-wall-errors", is_flag=True, help="Walls square to the camera, exact distances.")
+@click.option("--no-multipath", is_flag=True, help="tof: no multipath and stray light.")
+@click.option("--no-drift", is_flag=True, help="tof: no temperature drift.")
+@click.option("--no-image-errors", is_flag=True, help="Constant light and exposure, no defocus.")
+@click.option("--no-bias", is_flag=True, help="No depth bias.")
+@click.option(
+    "--no-noise", is_flag=True, help="Like --ideal, and no noise, blur or bias; depth is exact to the millimetre."
 )
 @options.seed_option
 @options.overwrite_option
@@ -149,6 +163,7 @@ def command(
     infrared: bool,
     lens: str,
     ideal: bool,
+    print_scale: float,
     no_print_errors: bool,
     no_depth_field: bool,
     no_registration_error: bool,
@@ -162,18 +177,20 @@ def command(
     overwrite: bool,
     jobs: int | None,
 ) -> None:
-    """Render the recordings of a rig whose truth is known into the folder OUT.
+    """Render simulated recordings with ground truth into the folder OUT.
 
-    A furnished room, cameras on an arc or in a ring, a checkerboard on a stand. Each camera has its own lens, depth
-    bias, depth error over the image and registration error; the board is printed and bent as boards are; walls are
-    not quite square and measured by tape. The same options and seed give the same bytes.
+    A furnished room, cameras on an arc or in a ring, a checkerboard on a stand. By default the recordings have the errors of
+    real ones: a print that is not square, on a bent plate, with a misaligned sheet on its back; a depth bias, a depth error
+    over the image and a misregistration for each camera; walls that are not square to the camera, at distances measured by
+    tape; auto exposure, defocus and changing light. --ideal leaves only lens distortion, depth bias and noise. The same
+    options and seed give the same bytes.
 
     \b
-    OUT/extrinsic         the board between the cameras
-    OUT/intrinsic         the board close to one camera at a time
+    OUT/extrinsic         the board, seen by several cameras
+    OUT/intrinsic         close views of the board, one camera at a time
     OUT/depth_bias        a wall at known distances
-    OUT/truth.yaml        the true rig, board and walls, and the board's pose in every frame
-    OUT/true_corners.csv  where every corner truly is in every image, and whether it can be seen
+    OUT/truth.yaml        true rig, board shape, walls, and board pose of each frame
+    OUT/true_corners.csv  true corner positions in each image, and their visibility
 
     \b
     Examples:
@@ -188,7 +205,7 @@ def command(
     wall_m = _distances(distances)
     lenses = _lenses(lens)
     if not unregistered and (infrared or depth_size):
-        raise click.UsageError("--infrared and --depth-size: depth images of their own needed. Add --unregistered")
+        raise click.UsageError("--infrared and --depth-size apply to unregistered depth. Add --unregistered")
 
     import os
     import time
@@ -223,13 +240,13 @@ def command(
         if no_noise
         else ColorNoise(blur, sigma_grey, fringe_px=fringe),
         sensor=sensor,  # type: ignore[arg-type]
-        depth_noise=_depth_noise(sensor, depth_k, no_noise),
+        depth_noise=_depth_noise(sensor, depth_k, no_noise, ideal),
         lenses=lenses,  # type: ignore[arg-type]
         depth_size=_size(depth_size or _OWN_SIZES.get(sensor, "640x480")) if unregistered else None,
         infrared=infrared,
         bias=not (no_bias or no_noise),
         jpeg_quality=jpeg,
-        realism=IDEAL if ideal or no_noise else Realism().without(*off),
+        realism=IDEAL if ideal or no_noise else Realism(print_scale=print_scale).without(*off),
     )
     begin = time.monotonic()
     with whole_folder(out, overwrite) as folder:
@@ -244,13 +261,18 @@ def command(
 _OWN_SIZES = {"tof": "512x424"}
 
 
-def _depth_noise(sensor: str, k: float | None, ideal: bool) -> Any:
+_OBLIQUE_M = 1e-4
+"""Nguyen, Izadi, Lovell 2012."""
+
+
+def _depth_noise(sensor: str, k: float | None, exact: bool, ideal: bool) -> Any:
     from rgbd_calib.simulation.depth_sensor import STEREO, DepthNoise
     from rgbd_calib.simulation.time_of_flight import TimeOfFlight
 
     if sensor == "tof":
-        return TimeOfFlight(ideal=ideal) if k is None else TimeOfFlight(k_m=k, ideal=ideal)
-    own = replace(STEREO if sensor == "stereo" else DepthNoise(), ideal=ideal)
+        return TimeOfFlight(ideal=exact) if k is None else TimeOfFlight(k_m=k, ideal=exact)
+    own = STEREO if sensor == "stereo" else DepthNoise()
+    own = replace(own, ideal=exact, oblique_m=0.0 if ideal or exact else _OBLIQUE_M)
     return own if k is None else replace(own, k_per_m=k)
 
 
@@ -262,9 +284,7 @@ def _size(text: str) -> tuple[int, int]:
 def _lenses(text: str) -> tuple[str, ...]:
     kinds = tuple(part.strip() for part in text.split(","))
     if not set(kinds) <= {"brown", "rational", "fisheye"}:
-        raise click.UsageError(
-            f"--lens: {text!r} seen; brown, rational or fisheye needed, or several with commas between"
-        )
+        raise click.UsageError(f"--lens: brown, rational or fisheye expected, separated by commas, {text!r} found")
     return kinds
 
 

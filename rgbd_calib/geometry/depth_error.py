@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import legendre, polynomial
 from scipy.interpolate import RegularGridInterpolator
+from scipy.ndimage import map_coordinates
 
 from rgbd_calib.geometry.so3 import FloatArray
 
@@ -70,10 +71,26 @@ def over_image(pixels_px: FloatArray, size_px: FloatArray) -> tuple[FloatArray, 
 
 
 @dataclass(frozen=True)
+class CellPattern:
+    """z^power times values over the image, linear between the middles of its cells."""
+
+    power: int
+    values: FloatArray
+    """(rows, columns) of cells that fill the image."""
+
+    def error_m(self, pixels_px: FloatArray, z_m: FloatArray, size_px: FloatArray) -> FloatArray:
+        """(...), metres, at pixels (..., 2) of an image of `size_px` (2,) and reported depths (...)."""
+        rows, columns = self.values.shape
+        at = (pixels_px + 0.5) / size_px * [columns, rows] - 0.5
+        pattern = map_coordinates(self.values, [at[..., 1], at[..., 0]], order=1, mode="nearest")
+        return np.asarray(pattern * np.asarray(z_m) ** self.power)
+
+
+@dataclass(frozen=True)
 class PolynomialField:
     """Legendre polynomials over the image, for each of some powers of the depth.
 
-    field(u, v, z) = sum_p z^p sum_k c_pk T_k(x, y), z held to [min_m, max_m].
+    field(u, v, z) = sum_p z^p sum_k c_pk T_k(x, y), z held to [min_m, max_m], degrees from 1 on: the degree 0 is the bias's.
     """
 
     width: int
@@ -81,18 +98,28 @@ class PolynomialField:
     degree: int
     powers: tuple[int, ...]
     coefficients: FloatArray
-    """(powers, n_terms)."""
+    """(powers, n_terms - 1)."""
     min_m: float
     max_m: float
     covariance: FloatArray | None = None
     """(k, k) of the flattened coefficients, where it is known."""
+    pattern: CellPattern | None = None
+    """What is finer than the polynomials, where walls showed it."""
 
     def error_m(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:
         """field (...), metres, at pixels (..., 2) of the depth image and reported depths (...)."""
-        x, y = over_image(pixels_px, np.array([self.width, self.height], float))
+        out = np.asarray(self.basis(pixels_px, z_m) @ self.coefficients.ravel())
+        if self.pattern is None:
+            return out
         z = np.clip(z_m, self.min_m, self.max_m)
-        at = terms(x, y, self.degree) @ self.coefficients.T
-        return np.asarray(np.sum(at * np.stack([z**p for p in self.powers], axis=-1), axis=-1))
+        return out + self.pattern.error_m(pixels_px, z, np.array([self.width, self.height], float))
+
+    def basis(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:
+        """(..., k) derivatives of the field by its flattened coefficients."""
+        x, y = over_image(pixels_px, np.array([self.width, self.height], float))
+        z = np.clip(z_m, self.min_m, self.max_m)[..., None]
+        T = terms(x, y, self.degree)[..., 1:]
+        return np.concatenate([T * z**p for p in self.powers], axis=-1)
 
 
 @dataclass(frozen=True)

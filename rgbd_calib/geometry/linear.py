@@ -172,7 +172,8 @@ class Assembly:
             np.add.at(self._W[g], (own.place[units[mine]][:, None], at), values[mine])
 
     def equations(self) -> NormalEquations:
-        return NormalEquations(self._pattern, self._U, tuple(self._W), self._V, self._g, self._h)
+        curvature = np.diag(self._U).copy()
+        return NormalEquations(self._pattern, self._U, tuple(self._W), self._V, self._g, self._h, curvature)
 
 
 def assemble(pattern: Pattern, rows: Iterable[Rows]) -> NormalEquations:
@@ -198,10 +199,17 @@ class NormalEquations:
     """(P,)."""
     unit_gradient: FloatArray
     """(F, D)."""
+    curvature: FloatArray
+    """(P,), the diagonal of U of the rows alone, to which a step is damped: what is known before is linear."""
 
     def plus(self, information: FloatArray, gradient: FloatArray) -> NormalEquations:
         """With Gaussian knowledge of the globals: its information (P, P) and gradient (P,)."""
         return replace(self, U=self.U + information, gradient=self.gradient + gradient)
+
+    def plus_units(self, information: FloatArray, gradient: FloatArray) -> NormalEquations:
+        """With Gaussian knowledge of the units: the diagonal of its information (F, D), and its gradient (F, D)."""
+        V = self.V + information[:, :, None] * np.eye(self.pattern.size)
+        return replace(self, V=V, unit_gradient=self.unit_gradient + gradient)
 
     def regular(self) -> NormalEquations:
         """Unknowns of units that no row touches stay where they are."""
@@ -250,7 +258,7 @@ class NormalEquations:
         damped = replace(self, V=V)
         try:
             S = damped.reduced[np.ix_(free, free)]
-            S[np.diag_indices(len(S))] += damping * np.diag(self.U)[free]
+            S[np.diag_indices(len(S))] += damping * self.curvature[free]
             scale = 1 / np.sqrt(np.maximum(np.diag(S), 1e-300))
             factor = cho_factor(S * np.outer(scale, scale))
         except np.linalg.LinAlgError:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
+from rgbd_calib.io.fast_png import read_rgb
 from rgbd_calib.io.files import read_bytes, whole_file
 from rgbd_calib.io.schema_base import MAX_SIDE
 
@@ -43,6 +44,8 @@ def read_image(path: Path, size: tuple[int, int] | None = None, who: str = "") -
 
 def decode_image(data: bytes, where: str, size: tuple[int, int] | None = None, who: str = "") -> np.ndarray:
     """As :func:`read_image`, of a file's bytes; `where` names them in errors."""
+    if (rgb := read_rgb(data, size)) is not None:
+        return rgb
     try:
         if data.startswith(_NPY):
             return _decode_npy(data, where, size, who)
@@ -70,6 +73,8 @@ def as_bgr(image: np.ndarray) -> np.ndarray:
     """B G R (h, w, 3) of a decoded image that is grey, R G B or R G B A."""
     if image.ndim == 2:
         image = np.repeat(image[..., None], 3, axis=2)
+    if image.dtype == np.uint8:
+        return cv2.cvtColor(image, cv2.COLOR_RGB2BGR if image.shape[2] == 3 else cv2.COLOR_RGBA2BGR)
     return np.ascontiguousarray(image[..., 2::-1])
 
 

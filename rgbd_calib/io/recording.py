@@ -160,19 +160,20 @@ class Recording:
             )
         return image
 
-    def distances_m(self, camera: str) -> dict[str, float]:
-        """Wall distances by frame from distances.csv, metres; empty where there is no such file."""
+    def distances_m(self, camera: str) -> dict[str, tuple[float, float | None]]:
+        """Wall distances by frame from distances.csv and their standard deviations, metres, None where none is stated; empty
+        where there is no such file."""
         path = self.path / camera / "distances.csv"
         if not path.exists():
             return {}
-        out: dict[str, float] = {}
-        for line, row in read_table(path, ("frame", "distance_m")):
+        out: dict[str, tuple[float, float | None]] = {}
+        for line, row in read_table(path, ("frame", "distance_m"), ("sd_m",)):
             distance_m = number(path, line, "distance_m", row["distance_m"])
-            if distance_m <= 0:
-                raise ConfigError(
-                    f"{path}: line {line}: distance_m: {distance_m:g} seen, more than 0 needed. Correct it"
-                )
-            _add_once(out, path, line, row["frame"], distance_m)
+            sd_m = number(path, line, "sd_m", row["sd_m"]) if row.get("sd_m") else None
+            for key, value in (("distance_m", distance_m), ("sd_m", sd_m)):
+                if value is not None and value <= 0:
+                    raise ConfigError(f"{path}: line {line}: {key}: {value:g} seen, more than 0 needed. Correct it")
+            _add_once(out, path, line, row["frame"], (distance_m, sd_m))
         return out
 
     def timestamps_us(self, camera: str) -> dict[str, tuple[float, float]]:

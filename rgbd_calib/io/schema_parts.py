@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from rgbd_calib.geometry.camera import LENSES, Intrinsics
-from rgbd_calib.geometry.depth_error import GridField, PolynomialField, n_terms
+from rgbd_calib.geometry.depth_error import CellPattern, GridField, PolynomialField, n_terms
 from rgbd_calib.io.schema_base import (
     MAX_CORNERS,
     Corners,
@@ -95,23 +95,41 @@ class DepthBiasModel(Model):
         return DepthBias(tuple(self.coefficients), self.min_m, self.max_m, self.rms_m, covariance)
 
 
+class CellPatternModel(Model):
+    """z^power times values (rows, columns) of cells that fill the image, metres, linear between their middles."""
+
+    power: Annotated[int, Field(ge=-2, le=4)]
+    values: Annotated[list[list[Finite]], Field(min_length=1, max_length=500)]
+
+    @model_validator(mode="after")
+    def _rectangle(self) -> CellPatternModel:
+        if len({len(row) for row in self.values}) != 1 or not self.values[0]:
+            raise ValueError("values are not rows of one length")
+        return self
+
+    def value(self) -> CellPattern:
+        return CellPattern(self.power, np.array(self.values))
+
+
 class PolynomialFieldModel(Model):
-    """sum_p z^p sum_k c_pk T_k(x, y): products of Legendre polynomials in x, y (-1 to 1 over the image) by total degree from 0
+    """sum_p z^p sum_k c_pk T_k(x, y): products of Legendre polynomials in x, y (-1 to 1 over the image) by total degree from 1
     on, and within a degree by the power of y from the highest; z_true = z + bias(z) + field, z held to [min_m, max_m]."""
 
     basis: Literal["legendre"] = "legendre"
     width: Side
     height: Side
-    degree: Annotated[int, Field(ge=0, le=20)]
+    degree: Annotated[int, Field(ge=1, le=20)]
     powers: Annotated[list[Annotated[int, Field(ge=-2, le=4)]], Field(min_length=1, max_length=4)]
     coefficients: list[list[Finite]]
     min_m: Positive
     max_m: Positive
     covariance: list[list[Finite]] | None = None
+    pattern: CellPatternModel | None = None
+    """What is finer than the polynomials, where walls showed it."""
 
     @model_validator(mode="after")
     def _lengths(self) -> PolynomialFieldModel:
-        rows, n = len(self.powers), n_terms(self.degree)
+        rows, n = len(self.powers), n_terms(self.degree) - 1
         if [len(row) for row in self.coefficients] != [n] * rows:
             raise ValueError(f"coefficients are not {rows} x {n}, one row for each power, one number for each term")
         if self.covariance is not None and [len(row) for row in self.covariance] != [rows * n] * (rows * n):
@@ -130,6 +148,7 @@ class PolynomialFieldModel(Model):
             own.min_m,
             own.max_m,
             covariance,
+            None if own.pattern is None else own.pattern.value(),
         )
 
 
@@ -164,6 +183,8 @@ def field_data(field: DepthField) -> dict[str, Any]:
         return {"basis": "grid", "u_px": field.u_px, "v_px": field.v_px, "z_m": field.z_m, "error_m": field.error}
     names = ("width", "height", "degree", "coefficients", "min_m", "max_m", "covariance")
     own = {name: getattr(field, name) for name in names if getattr(field, name) is not None}
+    if field.pattern is not None:
+        own["pattern"] = {"power": field.pattern.power, "values": field.pattern.values}
     return {"basis": "legendre", "powers": list(field.powers), **own}
 
 

@@ -38,8 +38,11 @@ def fill_table(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]])
         writer.writerows(rows)
 
 
-def read_table(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[int, dict[str, str]]]:
-    """Rows of a CSV file with their line numbers; it must have these columns, each once; others pass, and are not given.
+def read_table(
+    path: Path, columns: tuple[str, ...], optional: tuple[str, ...] = ()
+) -> Iterator[tuple[int, dict[str, str]]]:
+    """Rows of a CSV file with their line numbers; it must have these columns, each once, and may have the optional ones;
+    others pass, and are not given.
 
     Raises
     ------
@@ -53,6 +56,7 @@ def read_table(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[int, dict
         ):
             reader = csv.reader(_lines(path, text), strict=True)
             header = next(reader, [])
+            columns = (*columns, *(column for column in optional if column in header))
             places = [_place(path, header, column) for column in columns]
             for row in reader:
                 if not row:

@@ -23,10 +23,12 @@ from rgbd_calib.pipeline.config import Config, as_plain
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.pipeline.evaluate import Evaluation, against_views
 from rgbd_calib.pipeline.prepare import (
+    NO_DEPTH_SOURCE,
+    DepthSource,
     IntrinsicsSource,
     check_sources,
     check_together,
-    resolve_depth_bias,
+    resolve_depth,
     resolve_intrinsics,
 )
 from rgbd_calib.pipeline.quality import bundle_quality, common_quality, finite, refinement_quality, steps_of
@@ -34,10 +36,11 @@ from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.rig.biobjective import RefinementParams, RefinementResult, refine
 from rgbd_calib.rig.bundle import bundle, free_structure
 from rgbd_calib.rig.initialization import initialize
+from rgbd_calib.rig.observations import Walls
 from rgbd_calib.rig.solution import Solution
 from rgbd_calib.trust.self_check import calibration as self_check
 from rgbd_calib.trust.uncertainty import JointCovariance
-from rgbd_calib.types import Board, BoardView, Correspondences, DepthBias, PlacedView, Rig, RigCamera
+from rgbd_calib.types import Board, BoardView, Correspondences, PlacedView, Rig, RigCamera
 from rgbd_calib.views.association import AssociationResult, associate
 from rgbd_calib.views.board_pose import pose_view
 from rgbd_calib.views.correspondence import correspond
@@ -51,10 +54,7 @@ class Views:
 
     detections: Detections
     lenses: IntrinsicsSource
-    biases: dict[str, DepthBias]
-    bias_origin: str
-    bias_samples: dict[str, Any]
-    """By camera, the data that the depth bias was fitted to, where they are known."""
+    depth: DepthSource
     filtered: PlaneFilterResult
     association: AssociationResult
     selection: frame_selection.Selection | None = None
@@ -109,7 +109,7 @@ def calibrate(
     )
     cameras = list(recording.cameras)
     reference = views.association.reference
-    lenses, biases = views.lenses.intrinsics, views.biases
+    lenses, biases = views.lenses.intrinsics, views.depth.biases
     data = correspond(views.association.views, board, lenses, biases, cameras)
     residuals: Residuals | None = None
     joint: JointCovariance | None = None
@@ -158,13 +158,13 @@ def calibrate(
         stated_mm,
         config.self_check,
     )
-    quality |= {"board": asdict(replace(board, shape=None)), "depth_bias_samples": views.bias_samples}
+    quality |= {"board": asdict(replace(board, shape=None)), "depth_bias_samples": views.depth.samples}
     provenance = {
         **provenance_of(config),
         "recording": str(recording.path),
         "recording_sha256": recording.digest(),
         "intrinsics": views.lenses.origin,
-        "depth_bias": views.bias_origin,
+        "depth_bias": views.depth.origin,
     }
     rig = replace(rig, quality={"method": config.method, **plain(quality)}, provenance=provenance)
     return Calibration(rig, views, placed, data, boards, residuals, joint, evaluation)
@@ -193,9 +193,8 @@ def prepare_views(
     check_sources(recording, intrinsics, depth_bias)
     detections = detections or detect(recording, config.detect, workers, progress)
     lenses = resolve_intrinsics(intrinsics, recording, detections, config, workers, progress, intrinsic_detections)
-    biases, bias_origin, samples = resolve_depth_bias(
-        depth_bias, recording, lenses.intrinsics, config, workers, progress
-    )
+    depth = resolve_depth(depth_bias, recording, lenses.intrinsics, config, workers, progress)
+    biases = depth.biases
     filtered = filter_planes(detections.views, lenses.intrinsics, biases, config.plane_filter, config.seed)
     posed = [
         pose_view(view, board, lenses.intrinsics[view.camera], biases.get(view.camera), config.board_pose)
@@ -205,9 +204,9 @@ def prepare_views(
     association = associate(posed, board, reference, cameras, config.association)
     with_depth = [name for name in cameras if recording.depth_files[name]]
     association, selection = frame_selection.select(
-        association, lenses, biases, recording.cameras, with_depth, board, config
+        association, lenses, depth, recording.cameras, with_depth, board, config
     )
-    return Views(detections, lenses, biases, bias_origin, samples, filtered, association, selection)
+    return Views(detections, lenses, depth, filtered, association, selection)
 
 
 def reference_of(config: Config, cameras: Sequence[str]) -> str:
@@ -268,10 +267,11 @@ def _refinement(config: Config) -> RefinementParams:
 def _bundle(views: Views, board: Board, recording: Recording, config: Config, reference: str) -> Solution:
     """The joint bundle over the recording's views and those of an intrinsic recording."""
     cameras = list(recording.cameras)
-    priors = frame_selection.bundle_priors(views.lenses, views.biases, recording.cameras)
-    single = frame_selection.views_alone(views.lenses, views.biases, cameras, board, config)
+    priors = frame_selection.bundle_priors(views.lenses, views.depth, recording.cameras)
+    single = frame_selection.views_alone(views.lenses, views.depth.biases, cameras, board, config)
     start = views.association.T_world_color
-    return bundle([*views.association.views, *single], board, priors, start, reference, config.bundle)
+    walls = Walls.of(cameras, views.depth.walls)
+    return bundle([*views.association.views, *single], board, priors, start, reference, config.bundle, walls)
 
 
 def _rig_of_bundle(solved: Solution, reference: str) -> Rig:
@@ -283,6 +283,8 @@ def _rig_of_bundle(solved: Solution, reference: str) -> Rig:
             solved.pose_covariance(name),
             solved.depth_bias(name),
             plain(solved.camera_statistics(name)),
+            solved.depth_field(name),
+            solved.depth_camera(name),
         )
     return Rig(reference, cameras)
 
@@ -292,7 +294,7 @@ def _rig_of_poses(
 ) -> Rig:
     cameras = {
         name: RigCamera(
-            views.lenses.intrinsics[name], T, covariance.get(name, np.zeros((6, 6))), views.biases.get(name)
+            views.lenses.intrinsics[name], T, covariance.get(name, np.zeros((6, 6))), views.depth.biases.get(name)
         )
         for name, T in T_world_color.items()
     }
@@ -317,4 +319,4 @@ def _pairs_with_depth(placed: Sequence[PlacedView]) -> bool:
 def _no_views(lenses: IntrinsicsSource) -> Views:
     empty: tuple[BoardView, ...] = ()
     nothing = AssociationResult((), {}, {}, (), "")
-    return Views(Detections(empty, ()), lenses, {}, "none", {}, PlaneFilterResult(empty, 0, ()), nothing)
+    return Views(Detections(empty, ()), lenses, NO_DEPTH_SOURCE, PlaneFilterResult(empty, 0, ()), nothing)

@@ -9,13 +9,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
+
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.io.correspondences import read_corners
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.detection_cache import Contents, DetectionCache, contents, detector
 from rgbd_calib.pipeline.workers import Ready, Workers
 from rgbd_calib.types import Board, BoardView
-from rgbd_calib.views.detect import DetectParams, detect_view
+from rgbd_calib.views.detect import DetectParams, find_corners, with_depth
 
 Progress = Callable[[Iterable[Any], int, str], Iterator[Any]]
 """Items, how many, and what is being done: yields the items and shows how far it is."""
@@ -81,7 +83,7 @@ class Found:
 
 
 def find_in_image(task: ImageTask) -> Found:
-    """Read an image and its depth and find the board.
+    """Read an image and find the board; where it is found, read its depth.
 
     Raises
     ------
@@ -90,8 +92,11 @@ def find_in_image(task: ImageTask) -> Found:
     """
     recording, at = task.recording, (task.camera, task.frame)
     check_seen(recording, *at)
-    depth_m = recording.depth_m(*at) if recording.has_depth(*at) else None
-    view = detect_view(*at, recording.color(*at), depth_m, task.board, task.params)
+    found = find_corners(cv2.cvtColor(recording.color(*at), cv2.COLOR_BGR2GRAY), task.board, task.params)
+    view = None
+    if found is not None:
+        depth_m = recording.depth_m(*at) if recording.has_depth(*at) else None
+        view = with_depth(*at, found, depth_m, task.board)
     return Found(view, contents(recording, *at) if task.hashed else None, detector())
 
 

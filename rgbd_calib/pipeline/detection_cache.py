@@ -2,6 +2,10 @@
 
 The key holds all that the result depends on; the bytes of the images stand in it, not their names and times. A view
 read back is the one that was stored, bit for bit.
+
+A file's hash is taken from an earlier run where its size, times and inode are still the same, so that a second run reads no
+image. Times that are younger than SETTLED_NS when the file is hashed do not count: a file may change twice within a tick of
+its clock (the "racy" entries of git's index).
 """
 
 from __future__ import annotations
@@ -9,7 +13,9 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
 import platform
+import time
 from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
@@ -33,6 +39,8 @@ from rgbd_calib.views.detect import DetectParams
 Contents = tuple[str, str]
 """SHA-256 of the colour file and of the depth file, empty where there is no depth."""
 _FIELDS = ("ids", "corners_px", "depth_m", "depth_pixels")
+SETTLED_NS = 2_000_000_000
+"""The coarsest clock of a file system in use, that of FAT."""
 
 
 @lru_cache
@@ -45,6 +53,7 @@ def detector() -> str:
         *sorted(root.glob("views/detect/*.py")),
         *sorted(root.glob("geometry/*.py")),
         root / "types.py",
+        root / "io" / "fast_png.py",
         *read_by,
     ]:
         sources.update(path.read_bytes() if path.exists() else b"")
@@ -83,12 +92,15 @@ class DetectionCache:
         self._recording, self._board, self._params, self._workers = recording, board, params, workers
         self._files = None if workers.cache is None else FileCache(workers.cache, workers.say)
         self._missing: dict[tuple[str, str], Contents] = {}
+        self._hashed: dict[str, dict[str, Any]] = {}
+        """By camera and frame: [stamp, hashes] of this and of earlier runs."""
+        self._changed: set[str] = set()
         self.found = 0
         """Images that were known."""
 
     def look(self, camera: str, frame: str) -> tuple[BoardView | None] | None:
         """(view, or None where the board is not in the image,), or None where the image is not known."""
-        now = None if self._files is None else contents(self._recording, camera, frame)
+        now = None if self._files is None else self._contents(self._files, camera, frame)
         if self._files is None or now is None:
             return None
         data = self._files.get(key_of(now, self._recording, camera, self._board, self._params))
@@ -108,10 +120,29 @@ class DetectionCache:
     def close(self) -> None:
         """Say how much was known."""
         if self._files is not None:
+            for camera in sorted(self._changed):
+                self._files.put(self._hashes_key(camera), json.dumps(self._hashed[camera]).encode())
             self._files.close()
         if self.found:
             images = sum(map(len, self._recording.color_files.values()))
             self._workers.say(f"{self._recording.path}: {self.found} of {images} images from the cache")
+
+    def _contents(self, files: FileCache, camera: str, frame: str) -> Contents | None:
+        """As :func:`contents`, without reading files that are as they were when they were hashed."""
+        stamp = _stamp(self._recording, camera, frame)
+        if camera not in self._hashed:
+            self._hashed[camera] = _read_hashes(files.get(self._hashes_key(camera)))
+        before = self._hashed[camera].get(frame)
+        if stamp is not None and before is not None and before[0] == stamp:
+            return before[1][0], before[1][1]
+        now = contents(self._recording, camera, frame)
+        if stamp is not None and now is not None and time.time_ns() - max(stamp[1::4] + stamp[2::4]) > SETTLED_NS:
+            self._hashed[camera][frame] = [stamp, now]
+            self._changed.add(camera)
+        return now
+
+    def _hashes_key(self, camera: str) -> str:
+        return hashlib.sha256(json.dumps(["hashes", str(self._recording.path.absolute()), camera]).encode()).hexdigest()
 
 
 def entry(view: BoardView | None) -> bytes:
@@ -140,6 +171,24 @@ def read_entry(data: bytes, camera: str, frame: str) -> tuple[BoardView | None] 
     if ids.ndim != 1 or corners.shape != (len(ids), 2) or not depth.shape == pixels.shape == ids.shape:
         return None
     return (BoardView(camera, frame, ids, corners, depth, pixels),)
+
+
+def _stamp(recording: Recording, camera: str, frame: str) -> list[int] | None:
+    """What changes with the files of an image, times in ns; None where one cannot be seen."""
+    depth = recording.depth_files[camera].get(frame)
+    try:
+        seen = [os.stat(path) for path in (recording.color_files[camera][frame], depth) if path is not None]
+    except OSError:
+        return None
+    return [n for s in seen for n in (s.st_size, s.st_mtime_ns, s.st_ctime_ns, s.st_ino)]
+
+
+def _read_hashes(data: bytes | None) -> dict[str, Any]:
+    try:
+        hashed = json.loads(data) if data else {}
+    except ValueError:
+        return {}
+    return hashed if isinstance(hashed, dict) else {}
 
 
 def _sha256(path: Path) -> str:

@@ -208,7 +208,7 @@ def _damaged(looks: Iterable[_Look]) -> list[Finding]:
 def _check_walls(recording: Recording) -> list[Finding]:
     findings = []
     for camera in recording.cameras:
-        distances = list(recording.distances_m(camera).values())
+        distances = [distance_m for distance_m, _ in recording.distances_m(camera).values()]
         if recording.depth_files[camera] and (
             len(distances) < MIN_DISTANCES or max(distances) < MIN_RANGE * min(distances)
         ):

@@ -28,6 +28,7 @@ from rgbd_calib.trust import uncertainty
 from rgbd_calib.types import Board, BoardView, PlacedView, Rig
 from rgbd_calib.views.association import label_views
 from rgbd_calib.views.board_pose import pose_view
+from rgbd_calib.views.corner_points import corner_points
 from rgbd_calib.views.plane_filter import filter_planes
 
 GRID = 12
@@ -126,9 +127,7 @@ def against_truth(rig: Rig, truth: Rig, boards: Mapping[str, FloatArray], board:
         in_a, in_b = uncertainty.observe(truth, a, points), uncertainty.observe(truth, b, points)
         seen = in_a.seen & in_b.seen
         if seen.any():
-            places = [
-                uncertainty.place(rig, name, o.pixels_px[seen], o.raw_m[seen]) for name, o in ((a, in_a), (b, in_b))
-            ]
+            places = [uncertainty.place(rig, name, o.only(seen)) for name, o in ((a, in_a), (b, in_b))]
             distance = np.linalg.norm(places[0] - places[1], axis=1)
             pairs.append(PairAlignment((a, b), distance, (in_a.z_m + in_b.z_m)[seen] / 2, np.empty(0)))
     if not pairs:
@@ -225,10 +224,10 @@ def _frustum(truth: Rig, name: str) -> FloatArray:
 
 def _on_front(rig: Rig, placed: PlacedView, board: Board) -> FloatArray:
     """Where a view puts its corners (n, 3), metres, in the world, carried through the board to its front."""
-    p = uncertainty.place(rig, placed.view.camera, placed.view.corners_px, placed.view.depth_m)
-    on_board = placed.points_m(board)
-    to_front = on_board * [0, 0, -1] @ placed.T_color_board[:3, :3].T
-    return p + to_front @ rig.cameras[placed.view.camera].T_world_color[:3, :3].T
+    own = rig.cameras[placed.view.camera]
+    p = corner_points(placed.view, placed.T_color_board, own.intrinsics, own.depth_sensor)
+    to_front = (board.corners_m()[placed.front_corner(board)] - placed.points_m(board)) @ placed.T_color_board[:3, :3].T
+    return se3.transform(own.T_world_color, p + to_front)
 
 
 def _compare(

@@ -12,9 +12,10 @@ from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import CameraInfo
 from rgbd_calib.pipeline.config import Config
-from rgbd_calib.pipeline.prepare import IntrinsicsSource
+from rgbd_calib.pipeline.prepare import DepthSource, IntrinsicsSource
 from rgbd_calib.rig.blocks import Scope
 from rgbd_calib.rig.frame_selection import FrameChoice, choose_frames
+from rgbd_calib.rig.observations import Walls
 from rgbd_calib.rig.setup import CameraPrior
 from rgbd_calib.trust.uncertainty import JointCovariance, expected_alignment, volume
 from rgbd_calib.types import Board, DepthBias, PlacedView, Rig, RigCamera
@@ -68,7 +69,7 @@ def told(quality: Mapping[str, Any]) -> str | None:
 
 
 def bundle_priors(
-    lenses: IntrinsicsSource, biases: Mapping[str, DepthBias], cameras: Mapping[str, CameraInfo]
+    lenses: IntrinsicsSource, depth: DepthSource, cameras: Mapping[str, CameraInfo]
 ) -> dict[str, CameraPrior]:
     """What is known of each camera before the bundle."""
     return {
@@ -76,8 +77,9 @@ def bundle_priors(
             lenses.intrinsics[name],
             lenses.standard_deviations.get(name),
             name in lenses.results,
-            biases.get(name),
+            depth.biases.get(name),
             depth_unit_m=info.depth_scale,
+            bias_is_start=name in depth.walls,
         )
         for name, info in cameras.items()
     }
@@ -99,7 +101,7 @@ def views_alone(
 def select(
     association: AssociationResult,
     lenses: IntrinsicsSource,
-    biases: dict[str, DepthBias],
+    depth: DepthSource,
     cameras: Mapping[str, CameraInfo],
     with_depth: Sequence[str],
     board: Board,
@@ -117,17 +119,18 @@ def select(
         return association, None
     choice = choose_frames(
         association.views,
-        views_alone(lenses, biases, list(cameras), board, config),
+        views_alone(lenses, depth.biases, list(cameras), board, config),
         board,
-        bundle_priors(lenses, biases, cameras),
+        bundle_priors(lenses, depth, cameras),
         association.T_world_color,
         association.reference,
         config.max_views,
         config.bundle,
+        Walls.of(list(cameras), depth.walls),
     )
     kept = set(choice.chosen)
     views = tuple(placed for placed in association.views if placed.view.frame in kept)
-    ratio = _ratio(choice, association, lenses, biases, with_depth, board)
+    ratio = _ratio(choice, association, lenses, depth.biases, with_depth, board)
     return replace(association, views=views), Selection(choice.chosen, choice.left_out, ratio)
 
 

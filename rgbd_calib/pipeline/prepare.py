@@ -11,7 +11,7 @@ import numpy as np
 
 from rgbd_calib.cameras.depth_bias import DepthBiasFit, fit_with_data
 from rgbd_calib.cameras.intrinsics import IntrinsicsResult, calibrate_intrinsics
-from rgbd_calib.cameras.wall import wall_depth
+from rgbd_calib.cameras.wall import SeenWall, depth_at, wall_cells
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.blas import one_blas_thread
@@ -147,29 +147,67 @@ def given_intrinsics(source: Path, cameras: Sequence[str]) -> IntrinsicsSource:
     return IntrinsicsSource({name: given[name] for name in cameras}, str(source), {}, (), read_intrinsics_sd(source))
 
 
+@dataclass(frozen=True)
+class DepthSource:
+    """What is known of the cameras' depth before the rig, and where it is from."""
+
+    biases: dict[str, DepthBias]
+    origin: str
+    samples: dict[str, Any]
+    """By camera, the data that the depth bias was fitted to, where they are known."""
+    walls: dict[str, tuple[SeenWall, ...]]
+    """By camera, the walls that the depth bias rests on; none where it is from a file or from boards."""
+
+
+NO_DEPTH_SOURCE = DepthSource({}, "none", {}, {})
+
+
+def walls_of_recording(
+    recording: Recording, name: str, config: Config, progress: Progress = silent
+) -> tuple[SeenWall, ...]:
+    """Walls of a bias recording as one camera sees them; none without distances.csv.
+
+    Raises
+    ------
+    ConfigError
+        A frame without depth image.
+    """
+    distances, out = recording.distances_m(name), []
+    for frame in progress(sorted(distances), len(distances), f"{name}: wall"):
+        if not recording.has_depth(name, frame):
+            raise ConfigError(
+                f"{recording.path / name / 'distances.csv'}: frame {frame} has no depth image. Record it, or remove the line"
+            )
+        distance_m, sd_m = distances[frame]
+        cells = wall_cells(recording.depth_m(name, frame))
+        if cells.seen.any():
+            out.append(SeenWall(frame, distance_m, sd_m or config.depth_bias.distance_sd_m, cells))
+    return tuple(out)
+
+
 @one_blas_thread
-def depth_bias_of_recording(
+def depth_of_recording(
     recording: Recording,
     intrinsics: Mapping[str, Intrinsics],
     config: Config,
     detections: Detections | None = None,
     workers: Workers | None = None,
     progress: Progress = silent,
-) -> dict[str, DepthBiasFit]:
-    """Depth bias of each camera that has depth: from distances.csv, else from the board's pose by pixels.
+) -> tuple[dict[str, DepthBiasFit], dict[str, tuple[SeenWall, ...]]]:
+    """Depth bias of each camera that has depth: from distances.csv, else from the board's pose by pixels; and the walls.
 
     Raises
     ------
     CalibrationError
         Too few distances, over too short a range, or neither distances nor intrinsics.
     """
-    out = {}
+    fits, walls = {}, {}
     for name in recording.cameras:
         if not recording.depth_files[name]:
             continue
-        distances = recording.distances_m(name)
-        if distances:
-            z_m, z_true_m, sigma_m = _wall_samples(recording, name, distances, intrinsics.get(name), progress)
+        if recording.distances_m(name):
+            walls[name] = walls_of_recording(recording, name, config, progress)
+            z_m, z_true_m, sigma_m = _wall_samples(walls[name], recording.cameras[name], intrinsics.get(name))
         else:
             if name not in intrinsics:
                 raise ConfigError(
@@ -178,33 +216,35 @@ def depth_bias_of_recording(
                 )
             detections = detections or detect(recording, config.detect, workers, progress)
             (z_m, z_true_m), sigma_m = _board_pairs(detections.of(name), recording, intrinsics[name]), None
-        out[name] = fit_with_data(z_m, z_true_m, config.depth_bias, camera=name, sigma_m=sigma_m)
-    if not out:
+        fits[name] = fit_with_data(z_m, z_true_m, config.depth_bias, camera=name, sigma_m=sigma_m)
+    if not fits:
         raise CalibrationError(f"{recording.path}: no camera has depth images; nothing to correct. Record depth too")
-    return out
+    return fits, walls
 
 
-def resolve_depth_bias(
+def resolve_depth(
     source: Path | None,
     recording: Recording,
     intrinsics: Mapping[str, Intrinsics],
     config: Config,
     workers: Workers | None,
     progress: Progress,
-) -> tuple[dict[str, DepthBias], str, dict[str, Any]]:
-    """Depth biases by camera, from a file or a bias recording, where they are from, and the data they were fitted to."""
+) -> DepthSource:
+    """What is known of the depth, from a file or a bias recording."""
     if source is None:
-        return {}, "none", {}
+        return NO_DEPTH_SOURCE
     check_sources(recording, None, source)
     cameras = [name for name in recording.cameras if recording.depth_files[name]]
+    walls: dict[str, tuple[SeenWall, ...]] = {}
     if source.is_dir():
-        fits = depth_bias_of_recording(open_recording(source), intrinsics, config, workers=workers, progress=progress)
+        fits, walls = depth_of_recording(open_recording(source), intrinsics, config, workers=workers, progress=progress)
         given = {name: fit.bias for name, fit in fits.items()}
         samples = {name: samples_of(fit) for name, fit in fits.items()}
     else:
         given, samples = read_depth_bias(source), read_depth_bias_samples(source)
     _need(source, "depth_bias", cameras, given)  # one without depth images in a bias recording has none
-    return {name: given[name] for name in cameras}, str(source), samples
+    mine = {name: walls[name] for name in cameras if name in walls}
+    return DepthSource({name: given[name] for name in cameras}, str(source), samples, mine)
 
 
 def samples_of(fit: DepthBiasFit) -> dict[str, Any]:
@@ -213,21 +253,15 @@ def samples_of(fit: DepthBiasFit) -> dict[str, Any]:
 
 
 def _wall_samples(
-    recording: Recording, name: str, distances: dict[str, float], intrinsics: Intrinsics | None, progress: Progress
+    walls: Sequence[SeenWall], info: CameraInfo, intrinsics: Intrinsics | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Depths at the principal point, true distances and standard errors, (n,) each, metres."""
-    info = recording.cameras[name]
+    """Depths at the principal point, true distances and standard errors of their differences, (n,) each, metres."""
     centre = (intrinsics.cx, intrinsics.cy) if intrinsics else ((info.width - 1) / 2, (info.height - 1) / 2)
-    rows = []
-    for frame in progress(sorted(distances), len(distances), f"{name}: wall"):
-        if not recording.has_depth(name, frame):
-            raise ConfigError(
-                f"{recording.path / name / 'distances.csv'}: frame {frame} has no depth image. Record it, or take the line out"
-            )
-        rows.append((*wall_depth(recording.depth_m(name, frame), centre), distances[frame]))
-    z_m, error_m, z_true_m = np.array([row for row in rows if np.isfinite(row[0])]).reshape(-1, 3).T
+    rows = [(*depth_at(wall.cells, centre), wall.distance_m, wall.sd_m) for wall in walls]
+    table = np.array([row for row in rows if np.isfinite(row[0])]).reshape(-1, 4)
+    z_m, error_m, z_true_m, sd_m = table.T
     rounding_m = info.depth_scale / np.sqrt(12)  # of the depth image, the same for all pixels of a square wall
-    return z_m, z_true_m, np.hypot(error_m, rounding_m)
+    return z_m, z_true_m, np.sqrt(error_m**2 + rounding_m**2 + sd_m**2)
 
 
 def _board_pairs(

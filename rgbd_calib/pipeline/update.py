@@ -23,7 +23,7 @@ from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, silent
 from rgbd_calib.pipeline.evaluate import against_views, place_views
-from rgbd_calib.pipeline.prepare import IntrinsicsSource, resolve_depth_bias, resolve_intrinsics
+from rgbd_calib.pipeline.prepare import IntrinsicsSource, resolve_depth, resolve_intrinsics
 from rgbd_calib.pipeline.rig_inputs import common_cameras
 from rgbd_calib.pipeline.verify import verify_views
 from rgbd_calib.pipeline.workers import Workers
@@ -154,7 +154,7 @@ def _own(
     alone = replace(recording, cameras={name: recording.cameras[name]})
     found = Detections(detections.of(name), tuple(key for key in detections.missed if key[0] == name))
     source = resolve_intrinsics(intrinsics, alone, found, config, workers, progress)
-    biases = resolve_depth_bias(depth_bias, alone, source.intrinsics, config, workers, progress)[0]
+    biases = resolve_depth(depth_bias, alone, source.intrinsics, config, workers, progress).biases
     if depth_bias is None and name in rig.cameras and rig.cameras[name].depth_bias is not None:
         return source, rig.cameras[name].depth_bias, None
     return source, biases.get(name), None
@@ -228,7 +228,15 @@ def _entry(
     T = solved.T_world_color(name)
     statistics = plain(solved.camera_statistics(name))
     if own is None:
-        return RigCamera(solved.intrinsics(name), T, covariance, solved.depth_bias(name), statistics)
+        return RigCamera(
+            solved.intrinsics(name),
+            T,
+            covariance,
+            solved.depth_bias(name),
+            statistics,
+            solved.depth_field(name),
+            solved.depth_camera(name),
+        )
     kept = {key: value for key, value in statistics.items() if key != "intrinsics_sd"}
     return replace(own, T_world_color=T, covariance=covariance, statistics=own.statistics | kept)
 

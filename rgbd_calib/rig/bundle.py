@@ -19,7 +19,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig import observability, outliers, solve
 from rgbd_calib.rig.blocks import Boards
 from rgbd_calib.rig.common_errors import common_errors
-from rgbd_calib.rig.observations import observe
+from rgbd_calib.rig.observations import Walls, observe
 from rgbd_calib.rig.problem import Problem, State
 from rgbd_calib.rig.reweight import reweighted
 from rgbd_calib.rig.setup import BundleParams, CameraPrior, Setup
@@ -40,10 +40,11 @@ def problem_of(
     T_world_color: Mapping[str, FloatArray],
     reference: str,
     params: BundleParams,
+    walls: Walls | None = None,
 ) -> tuple[Problem, State, tuple[str, ...]]:
     """The problem with its first weights, where it starts, and the frames of its boards; as for :func:`bundle`."""
     obs, frames = observe(views, board, {name: prior.depth_unit_m for name, prior in priors.items()})
-    setup = Setup.of(priors, reference, T_world_color, board, obs, params)
+    setup = Setup.of(priors, reference, T_world_color, board, obs, params, walls)
     poses = np.tile(np.eye(4), (len(frames), 1, 1))
     for placed, f, shared in zip(views, obs.frame, obs.shared, strict=True):
         poses[f] = T_world_color[placed.view.camera] @ placed.T_color_board if shared else placed.T_color_board
@@ -58,6 +59,7 @@ def bundle(
     T_world_color: Mapping[str, FloatArray],
     reference: str,
     params: BundleParams | None = None,
+    walls: Walls | None = None,
 ) -> Solution:
     """Solve for everything at once.
 
@@ -66,6 +68,7 @@ def bundle(
     views : all views; several cameras' views of one frame are of one board pose. Views of an intrinsic recording are
         frames of their own.
     priors, T_world_color : by camera; the poses are a start.
+    walls : of a bias recording.
 
     Raises
     ------
@@ -73,7 +76,7 @@ def bundle(
         The equations are singular, or too few views are left.
     """
     params = params or BundleParams()
-    problem, state, frames = problem_of(views, board, priors, T_world_color, reference, params)
+    problem, state, frames = problem_of(views, board, priors, T_world_color, reference, params, walls)
     dropped, dropped_corners = dict[tuple[str, str], str](), 0
     history: list[Round] = []
     iterations, settled, taken_back = 0, False, False
@@ -147,34 +150,30 @@ def freed(problem: Problem, state: State) -> tuple[Problem, State]:
     told = ~obs.shared[:, None] | (seen >= 2)
     boards = Boards(state.boards.T_parent_board, free, se3.transform(state.boards.T_parent_board[:, None], front))
     masked = obs.keep(obs.has_pixel & told, obs.has_depth & told)
-    nothing = np.zeros_like(problem.held)
-    return replace(problem, obs=masked, held=nothing, unit_size=boards.size), replace(state, boards=boards)
+    return replace(problem, obs=masked, unit_size=boards.size), replace(state, boards=boards)
 
 
 def _round(problem: Problem, state: State, n_dropped: int) -> tuple[Problem, State, float, tuple[int, Round]]:
     """Solve and weigh once: what changed of the weights, and what to tell of it."""
     params = problem.setup.params
     minimum = solve.minimize(problem, state, params.max_iterations, params.round_tolerance)
-    weights = reweighted(problem, minimum.state, solve.covariance(problem, minimum.state))
+    with_fields = problem.with_local_fields(minimum.state)
+    weights = reweighted(with_fields, minimum.state, solve.covariance(with_fields, minimum.state))
     moved = problem.weights.change(weights)
     told = _told(minimum.cost, weights, n_dropped)
-    return replace(problem, weights=weights), minimum.state, moved, (minimum.iterations, told)
+    return replace(with_fields, weights=weights), minimum.state, moved, (minimum.iterations, told)
 
 
 def _concluded(problem: Problem, state: State, course: Course) -> Solution:
-    """The last minimisation and what it says.
-
-    What the recording does not determine is held at its prior; the covariance still counts its uncertainty.
-    """
+    """The last minimisation and what it says."""
     params = problem.setup.params
-    seen = observability.examine(problem, solve.covariance(problem, state))
-    held = replace(problem, held=seen.undetermined)
-    final = solve.minimize(held, problem.at_prior(state, seen.undetermined), params.max_iterations, params.tolerance)
-    plain = solve.covariance(held, final.state)
-    common = common_errors(held, final.state, plain)
-    covariance = solve.sandwich_covariance(held, final.state, plain) + common.covariance
+    final = solve.minimize(problem, state, params.max_iterations, params.tolerance)
+    plain = solve.covariance(problem, final.state)
+    seen = observability.examine(problem, plain)
+    common = common_errors(problem, final.state, plain)
+    covariance = solve.sandwich_covariance(problem, final.state, plain) + common.covariance
     course = replace(course, iterations=course.iterations + final.iterations)
-    return Solution(held, final.state, final.cost, plain, covariance, common, seen, course)
+    return Solution(problem, final.state, final.cost, plain, covariance, common, seen, course)
 
 
 def _told(cost: float, weights: Weights, dropped_views: int) -> Round:

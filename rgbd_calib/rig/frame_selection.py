@@ -17,7 +17,9 @@ from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry.linear import IntArray, reduced_information
 from rgbd_calib.geometry.selection import most_informative
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.rig.blocks import Kind
 from rgbd_calib.rig.bundle import problem_of
+from rgbd_calib.rig.observations import Walls
 from rgbd_calib.rig.problem import Problem
 from rgbd_calib.rig.setup import BundleParams, CameraPrior
 from rgbd_calib.types import Board, PlacedView
@@ -49,6 +51,7 @@ def choose_frames(
     reference: str,
     n: int,
     params: BundleParams | None = None,
+    walls: Walls | None = None,
 ) -> FrameChoice:
     """`n` frames of `views`; `alone` are views of an intrinsic recording, which stay. The rest as for the bundle.
 
@@ -57,7 +60,7 @@ def choose_frames(
     CalibrationError
         More frames are needed to keep every pair of cameras that has common views.
     """
-    equations = _Equations(views, alone, board, priors, T_world_color, reference, params or BundleParams())
+    equations = _Equations(views, alone, board, priors, T_world_color, reference, params or BundleParams(), walls)
     frames = sorted({placed.view.frame for placed in views})
     index = {frame: i for i, frame in enumerate(equations.frames)}
     items = [index[frame] for frame in frames]
@@ -108,16 +111,21 @@ class _Equations:
         T_world_color: Mapping[str, FloatArray],
         reference: str,
         params: BundleParams,
+        walls: Walls | None,
     ) -> None:
         every = [*views, *alone]
-        self.problem, self._state, self.frames = problem_of(every, board, priors, T_world_color, reference, params)
+        self.problem, self._state, self.frames = problem_of(
+            every, board, priors, T_world_color, reference, params, walls
+        )
         own = self.problem
         pose = np.zeros(own.n_globals, bool)
         pose[own.index("pose")] = True
-        before = own.prior.information + np.diag(pose / POSE_SD**2)
+        of_walls = own.data_equations(self._state, np.zeros(0, int), (Kind.WALL,))
+        known = of_walls.plus_units(own.unit_information, np.zeros(own.unit_information.shape)).regular().reduced
+        before = known + own.prior.information + np.diag(pose / POSE_SD**2)
         self._free = own.prior.free
         self.known: FloatArray = before[np.ix_(self._free, self._free)]
-        """What is known without any frame, of the free parameters."""
+        """What is known without any frame, of the free parameters: priors, and the walls."""
         self._kept: dict[int, tuple[IntArray, FloatArray]] = {}
 
     def reduced(self, frame: int) -> FloatArray:

@@ -29,7 +29,7 @@ class Observability:
     reciprocal_condition: float
     """Of the correlation matrix of the global parameters: smallest over largest eigenvalue."""
     undetermined: BoolArray
-    """(P,) bool: the recording adds next to nothing to the prior; these are held at it."""
+    """(P,) bool: the recording adds next to nothing to the prior."""
 
 
 def examine(problem: Problem, cov: Covariance) -> Observability:

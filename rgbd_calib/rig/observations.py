@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from rgbd_calib.cameras.wall import SeenWall
 from rgbd_calib.geometry.linear import BoolArray, IntArray
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import Board, PlacedView
@@ -50,6 +51,52 @@ class Observations:
     def only(self, views: slice | IntArray) -> Observations:
         """Some of the views."""
         return Observations(**{field.name: getattr(self, field.name)[views] for field in fields(self)})
+
+
+@dataclass(frozen=True)
+class Walls:
+    """Walls of a bias recording, cut into cells; W walls, N cells, padded where images differ."""
+
+    camera: IntArray
+    """(W,)."""
+    written_m: FloatArray
+    """(W,), the distance as written down, along the optical axis."""
+    sd_m: FloatArray
+    """(W,), its standard deviation."""
+    pixels_px: FloatArray
+    """(W, N, 2), middles of the cells in the depth image."""
+    depth_m: FloatArray
+    """(W, N), mean of what was reported; 1 where there is none."""
+    seen: BoolArray
+    """(W, N)."""
+    grids: IntArray
+    """(C, 2), rows and columns of the cells of each camera, the first of the N."""
+
+    @property
+    def n(self) -> int:
+        return len(self.camera)
+
+    @classmethod
+    def of(cls, cameras: Sequence[str], seen: Mapping[str, Sequence[SeenWall]]) -> Walls:
+        """Of the walls of each camera."""
+        every = [(i, wall) for i, name in enumerate(cameras) for wall in seen.get(name, ())]
+        if not every:
+            return cls.none()
+        N = max(wall.cells.seen.size for _, wall in every)
+        pixels, depth, there = np.zeros((len(every), N, 2)), np.ones((len(every), N)), np.zeros((len(every), N), bool)
+        grids = np.zeros((len(cameras), 2), int)
+        for row, (i, wall) in enumerate(every):
+            n, grids[i] = wall.cells.seen.size, wall.cells.seen.shape
+            pixels[row, :n] = wall.cells.pixels_px.reshape(-1, 2)
+            depth[row, :n], there[row, :n] = wall.cells.depth_m.ravel(), wall.cells.seen.ravel()
+        distances, sds = (np.array([getattr(wall, key) for _, wall in every]) for key in ("distance_m", "sd_m"))
+        return cls(np.array([i for i, _ in every]), distances, sds, pixels, depth, there, grids)
+
+    @classmethod
+    def none(cls) -> Walls:
+        cells = np.zeros((0, 1))
+        grids = np.zeros((0, 2), int)
+        return cls(np.zeros(0, int), np.zeros(0), np.zeros(0), np.zeros((0, 1, 2)), cells, cells.astype(bool), grids)
 
 
 def observe(

@@ -13,11 +13,25 @@ from functools import cached_property
 import numpy as np
 
 from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.depth_error import CellPattern
 from rgbd_calib.geometry.linear import BoolArray, IntArray, NormalEquations, Pattern, Rows, assemble
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig import terms
-from rgbd_calib.rig.blocks import ESTIMATED, Block, Boards, BoardShapeBlock, DepthErrorBlock, Kind, PointBlock
+from rgbd_calib.rig.blocks import (
+    ESTIMATED,
+    Block,
+    Boards,
+    BoardShapeBlock,
+    Component,
+    DepthErrorBlock,
+    Kind,
+    PointBlock,
+    Registration,
+    Scope,
+    WallPlanes,
+)
 from rgbd_calib.rig.blocks.board_shape import nominal_corners_m
+from rgbd_calib.rig.local_field import local_field
 from rgbd_calib.rig.observations import Observations
 from rgbd_calib.rig.setup import Setup
 from rgbd_calib.rig.sight import Look, Sight
@@ -25,7 +39,8 @@ from rgbd_calib.rig.weights import Weights
 
 VIEWS_AT_ONCE = 256
 """Views whose derivatives are in memory together: some 10 MB."""
-KINDS = (Kind.PIXEL, Kind.DEPTH)
+OF_BOARDS = (Kind.PIXEL, Kind.DEPTH)
+ALL = (*OF_BOARDS, Kind.WALL)
 
 
 @dataclass(frozen=True)
@@ -35,6 +50,7 @@ class State:
     values: Mapping[str, FloatArray]
     """By block, as the block has them."""
     boards: Boards
+    walls: WallPlanes
 
     @property
     def T_world_color(self) -> FloatArray:
@@ -69,21 +85,23 @@ class Problem:
     blocks: tuple[Block, ...]
     obs: Observations
     weights: Weights
-    held: BoolArray
-    """(P,) bool: what the recording does not determine, held at its prior."""
+    local: tuple[CellPattern | None, ...] = ()
+    """By camera, the pattern of its depth that is known between the rounds; empty: none."""
     unit_size: int = 6
 
     @classmethod
     def of(cls, setup: Setup, blocks: Sequence[type[Block]] = ESTIMATED) -> Problem:
-        made = tuple(block(setup) for block in blocks)
-        weights = Weights.first(setup.obs, len(setup.cameras), setup.params)
-        return cls(setup, made, setup.obs, weights, np.zeros(sum(b.size for b in made), bool))
+        made = tuple(block(setup) for block in blocks if block.name not in setup.params.hold)
+        usual = {c.name: c.usual for block in made for c in block.prior().components}
+        return cls(
+            setup, made, setup.obs, Weights.first(setup.obs, setup.walls, len(setup.cameras), usual, setup.params)
+        )
 
     # ------------------------------------------------------------------------------------------------ parameters
 
-    @property
+    @cached_property
     def n_globals(self) -> int:
-        return len(self.held)
+        return sum(block.size for block in self.blocks)
 
     @cached_property
     def parts(self) -> dict[str, slice]:
@@ -103,8 +121,12 @@ class Problem:
 
     def of_camera(self, camera: int) -> IntArray:
         """Globals that are this camera's alone, block by block."""
-        own = [self.index(b.name, camera) for b in self.blocks if b.scope.value == "camera"]
-        return np.concatenate(own)
+        return np.concatenate([self.index(b.name, camera) for b in self.blocks if b.scope is Scope.CAMERA])
+
+    @cached_property
+    def components(self) -> tuple[tuple[IntArray, Component], ...]:
+        """All variance components, with their globals."""
+        return tuple((self.parts[b.name].start + c.parameters, c) for b in self.blocks for c in b.prior().components)
 
     @cached_property
     def prior(self) -> Prior:
@@ -115,29 +137,38 @@ class Problem:
             at, own = self.parts[block.name], block.prior()
             mean[at], free[at], assumed[at] = own.mean, own.free, own.assumed
             information[at, at] = own.information
+        for index, component in self.components:
+            information[np.ix_(index, index)] += component.structure / self.weights.sizes[component.name] ** 2
         return Prior(mean, information, free, assumed)
 
     @cached_property
-    def free(self) -> BoolArray:
-        """(P,) bool."""
-        return self.prior.free & ~self.held
+    def unit_information(self) -> FloatArray:
+        """(F + W, D), diagonal: what is known of the units before; of walls alone."""
+        own = self.setup
+        out = np.zeros((own.obs.n_frames + own.walls.n, self.unit_size))
+        out[own.obs.n_frames :, 0] = own.walls.sd_m**-2.0
+        out[own.obs.n_frames :, 1:3] = own.params.wall_tilt_sd_rad**-2.0
+        return out
 
     def start(self, boards: Boards) -> State:
-        return State({b.name: b.start() for b in self.blocks}, boards)
+        values = {b.name: b.start() for b in self.blocks}
+        return State(values, boards, WallPlanes(np.zeros((self.setup.walls.n, 3))))
 
     def moved(self, state: State, step: FloatArray, unit_step: FloatArray) -> State:
-        """The state after a step of the globals (P,) and of the units (F, D)."""
+        """The state after a step of the globals (P,) and of the units (F + W, D)."""
+        F = self.setup.obs.n_frames
         values = {b.name: b.moved(state.values[b.name], step[self.parts[b.name]]) for b in self.blocks}
-        return State(values, state.boards.moved(unit_step))
+        return State(values, state.boards.moved(unit_step[:F]), state.walls.moved(unit_step[F:]))
 
     def vector(self, state: State) -> FloatArray:
         """(P,), with zeros for the poses, to compare with the prior's mean."""
         return np.concatenate([b.vector(state.values[b.name]) for b in self.blocks])
 
-    def at_prior(self, state: State, which: BoolArray) -> State:
-        """The state with these globals (P,) at their prior's mean."""
-        step = np.where(which, self.prior.mean - self.vector(state), 0.0)
-        return self.moved(state, step, np.zeros((len(state.boards.freed), state.boards.size)))
+    def unit_vector(self, state: State) -> FloatArray:
+        """(F + W, D), of walls alone, zeros for the boards, to compare with what is known of them: zero."""
+        out = np.zeros(self.unit_information.shape)
+        out[self.setup.obs.n_frames :, :3] = state.walls.values
+        return out
 
     # ------------------------------------------------------------------------------------------------ prediction
 
@@ -161,38 +192,57 @@ class Problem:
             mine = wanted[obs.camera[wanted] == c]
             for first in range(0, len(mine), VIEWS_AT_ONCE):
                 some = mine[first : first + VIEWS_AT_ONCE]
-                yield (
-                    some,
-                    _sight(c, obs.only(some), state.boards, corners, self.setup.board.thickness_m, T_color_world[c]),
-                )
+                thickness_m = self.setup.board.thickness_m
+                yield some, _sight(c, obs.only(some), state.boards, corners, thickness_m, T_color_world[c])
 
     def looks(self, state: State, views: IntArray | None = None) -> Iterator[tuple[IntArray, Look]]:
-        """Rows of each kind of the views of :meth:`sights`."""
+        """Rows of pixels and depth of the views of :meth:`sights`."""
         for some, sight in self.sights(state, views):
             yield some, self.look_at_pixels(state, sight)
             yield some, self.look_at_depth(state, sight)
 
     def look_at_pixels(self, state: State, sight: Sight) -> Look:
-        """What is predicted of the pixels of some views."""
+        """Rows of the pixels of some views."""
         return terms.look_at_pixels(sight, self.setup.priors[sight.camera].intrinsics, state.intrinsics[sight.camera])
 
     def look_at_depth(self, state: State, sight: Sight) -> Look:
-        """What is predicted of the depth of some views."""
+        """Rows of the depth of some views."""
         obs, c = sight.obs, sight.camera
-        corrected, slope = obs.depth_m.copy(), np.ones(obs.depth_m.shape)
+        corrected, slope = self.corrected(state, c, obs.pixels_px, obs.depth_m)
+        shift = np.zeros(obs.pixels_px.shape)
         for block in self.blocks:
-            if isinstance(block, DepthErrorBlock) and np.any(state.values[block.name][c]):
-                own = state.values[block.name][c]
-                corrected += block.basis(c, obs.pixels_px, obs.depth_m) @ own
-                slope += block.basis_slope(c, obs.pixels_px, obs.depth_m) @ own
-        return terms.look_at_depth(sight, corrected, slope)
+            if isinstance(block, Registration) and np.any(state.values[block.name][c]):
+                shift += block.by_parameters(c, obs.pixels_px, obs.depth_m) @ state.values[block.name][c]
+        return terms.look_at_depth(sight, self.setup.priors[c].intrinsics, shift, corrected, slope)
 
-    def residual(self, look: Look) -> FloatArray:
-        """Predicted less measured, (n, N, r), px or metres; zero where nothing is used."""
-        obs = look.sight.obs
-        if look.left_m is not None:
-            return np.where(obs.has_depth, look.left_m, 0.0)[..., None]
-        return np.where(obs.has_pixel[..., None], look.predicted - obs.pixels_px, 0.0)
+    def looks_at_walls(self, state: State, cameras: Sequence[int]) -> Iterator[tuple[IntArray, Look, FloatArray]]:
+        """Rows of the walls of each camera, their numbers, and the derivatives (n, N, 1, 3) by the walls' own unknowns."""
+        walls = self.setup.walls
+        for c in cameras:
+            mine = np.flatnonzero(walls.camera == c)
+            if not len(mine):
+                continue
+            tape = state.values["tape"][c, 0] if "tape" in self.parts else 0.0
+            at, z = walls.pixels_px[mine], walls.depth_m[mine]
+            rays = self.setup.priors[c].intrinsics.rays(at)[..., :2]
+            ahead, by_wall = state.walls.ahead(mine, walls.written_m[mine] + tape, np.nan_to_num(rays))
+            corrected, slope = self.corrected(state, c, at, z)
+            seen = walls.seen[mine] & np.isfinite(rays[..., 0])
+            look = terms.look_at_walls(c, at, z, ahead, by_wall[..., 0], slope, corrected, seen)
+            yield mine, look, (by_wall / slope[..., None])[:, :, None]
+
+    def corrected(
+        self, state: State, camera: int, pixels_px: FloatArray, depth_m: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Depth (n, N), metres, as the state corrects it, and its slope by the reported depth."""
+        corrected, slope = depth_m.copy(), np.ones(depth_m.shape)
+        if self.local and (local := self.local[camera]) is not None:
+            corrected += local.error_m(pixels_px, depth_m, self.setup.sizes_px[camera])
+        for block in self.blocks:
+            if isinstance(block, DepthErrorBlock) and np.any(own := state.values[block.name][camera]):
+                corrected += block.basis(camera, pixels_px, depth_m) @ own
+                slope += block.basis_slope(camera, pixels_px, depth_m) @ own
+        return corrected, slope
 
     def residuals(self, state: State, obs: Observations | None = None) -> tuple[FloatArray, FloatArray]:
         """Of all views, pixels (V, N, 2) and depth (V, N), metres, by the masks of `obs`, or of the problem."""
@@ -203,8 +253,32 @@ class Problem:
             with np.errstate(all="ignore"):
                 found = terms.pixels_of(sight, lens, state.intrinsics[sight.camera]) - sight.obs.pixels_px
             pixel[some] = np.where(sight.obs.has_pixel[..., None], found, 0.0)
-            depth[some] = self.residual(self.look_at_depth(state, sight))[..., 0]
+            depth[some] = self.look_at_depth(state, sight).left[..., 0]
         return pixel, depth
+
+    def wall_residuals(self, state: State) -> FloatArray:
+        """(W, N), metres of reported depth; zero where nothing was seen."""
+        out = np.zeros(self.setup.walls.depth_m.shape)
+        for some, look, _ in self.looks_at_walls(state, range(len(self.setup.cameras))):
+            out[some] = look.left[..., 0]
+        return out
+
+    def with_local_fields(self, state: State) -> Problem:
+        """With the patterns that the walls show at a state."""
+        walls, found = self.setup.walls, list[CellPattern | None]()
+        if not walls.n:
+            return self
+        left, sizes = self.wall_residuals(state), self.setup.sizes_px
+        for c in range(len(self.setup.cameras)):
+            mine, grid = walls.camera == c, walls.grids[c]
+            cells = slice(0, int(np.prod(grid)))
+            own = left[mine][:, cells]
+            if self.local and (now := self.local[c]) is not None:
+                own = own + now.error_m(walls.pixels_px[mine][:, cells], walls.depth_m[mine][:, cells], sizes[c])
+            shape = (len(own), *grid)
+            depth, seen = walls.depth_m[mine][:, cells], walls.seen[mine][:, cells]
+            found.append(local_field(own.reshape(shape), depth.reshape(shape), seen.reshape(shape)))
+        return replace(self, local=tuple(found))
 
     def in_front(self, state: State) -> bool:
         """True where every observed corner lies before its camera."""
@@ -221,48 +295,68 @@ class Problem:
         """
         scales = self.weights.scales(self.obs) if scales is None else scales
         for some, look in self.looks(state, views):
-            obs = look.sight.obs
-            w = scales[KINDS.index(look.kind)][some][..., None]
-            dense = [b for b in self.blocks if look.kind in b.kinds and not isinstance(b, PointBlock)]
-            points = [b for b in self.blocks if look.kind in b.kinds and isinstance(b, PointBlock)]
-            n, N, r = look.predicted.shape
-            J = np.concatenate([b.derivative(look) for b in dense], axis=-1)
-            J *= w[..., None]
-            J_point = np.concatenate([np.zeros((n, N, r, 0)), *(b.derivative(look) for b in points)], axis=-1)
-            at = [self.parts[b.name].start + b.point_columns(look) for b in points]
-            rows = Rows(
-                obs.frame,
-                np.concatenate([self.index(b.name, look.camera) for b in dense]),
-                J,
-                state.boards.derivative(look) * w[..., None],
-                self.residual(look) * w,
-                np.concatenate([np.zeros((n, N, 0), int), *at], axis=-1),
-                J_point * w[..., None],
-            )
-            yield some, look, rows
+            w = scales[OF_BOARDS.index(look.kind)][some]
+            by_unit = state.boards.derivative(look)
+            yield some, look, self._rows(look, look.sight.obs.frame, by_unit, w)
+
+    def wall_rows(self, state: State, cameras: Sequence[int]) -> Iterator[tuple[IntArray, Look, Rows]]:
+        """Weighted rows of the walls of some cameras."""
+        scales, F = self.weights.wall_scales(self.setup.walls), self.setup.obs.n_frames
+        for some, look, by_wall in self.looks_at_walls(state, cameras):
+            by_unit = np.zeros((*look.left.shape, self.unit_size))
+            by_unit[..., :3] = by_wall
+            yield some, look, self._rows(look, F + some, by_unit, scales[some])
+
+    def _rows(self, look: Look, units: IntArray, by_unit: FloatArray, w: FloatArray) -> Rows:
+        dense = [b for b in self.blocks if look.kind in b.kinds and not isinstance(b, PointBlock)]
+        points = [b for b in self.blocks if look.kind in b.kinds and isinstance(b, PointBlock)]
+        n, N, r = look.left.shape
+        w = w[..., None]
+        J = np.concatenate([b.derivative(look) for b in dense], axis=-1)
+        J *= w[..., None]
+        J_point = np.concatenate([np.zeros((n, N, r, 0)), *(b.derivative(look) for b in points)], axis=-1)
+        at = [self.parts[b.name].start + b.point_columns(look) for b in points]
+        return Rows(
+            units,
+            np.concatenate([self.index(b.name, look.camera) for b in dense]),
+            J,
+            by_unit * w[..., None],
+            look.left * w,
+            np.concatenate([np.zeros((n, N, 0), int), *at], axis=-1),
+            J_point * w[..., None],
+        )
 
     @cached_property
     def pattern(self) -> Pattern:
-        """Which globals each frame touches."""
-        shared = [self.index(b.name) for b in self.blocks if b.scope.value == "rig"]
-        own = [self.of_camera(c) for c in range(len(self.setup.cameras))]
-        touched: list[set[int]] = [set() for _ in range(self.setup.obs.n_frames)]
-        for f, c in zip(self.setup.obs.frame, self.setup.obs.camera, strict=True):
+        """Which globals each frame and wall touches."""
+        own, cameras = self.setup, range(len(self.setup.cameras))
+        of_rig = [self.index(b.name) for b in self.blocks if b.scope is Scope.RIG]
+        of_camera = [self.of_camera(c) for c in cameras]
+        touched: list[set[int]] = [set() for _ in range(own.obs.n_frames)]
+        for f, c in zip(own.obs.frame, own.obs.camera, strict=True):
             touched[f].add(int(c))
-        keys = [tuple(sorted(cameras)) for cameras in touched]
-        columns = {key: np.sort(np.concatenate([*shared, *(own[c] for c in key)])) for key in set(keys)}
+        keys = [*(tuple(sorted(own)) for own in touched), *((-1, int(c)) for c in own.walls.camera)]
+        columns = {
+            key: np.sort(np.concatenate([*of_rig, *(of_camera[c] for c in key)])) for key in set(keys) if -1 not in key
+        }
+        columns |= {key: np.sort(of_camera[key[1]]) for key in set(keys) if -1 in key}
         return Pattern.of(keys, columns, self.n_globals, self.unit_size)
 
     def data_equations(
-        self, state: State, views: IntArray | None = None, kinds: Sequence[Kind] = KINDS
+        self, state: State, views: IntArray | None = None, kinds: Sequence[Kind] = ALL
     ) -> NormalEquations:
-        """The normal equations of the observations alone, of some views and kinds, or of all."""
-        return assemble(self.pattern, (rows for _, look, rows in self.rows(state, views) if look.kind in kinds))
+        """The normal equations of the observations alone: of some views, or of all, and the walls where they are asked for."""
+        boards = (rows for _, look, rows in self.rows(state, views) if look.kind in kinds)
+        cameras = range(len(self.setup.cameras)) if Kind.WALL in kinds else []
+        walls = (rows for _, _, rows in self.wall_rows(state, cameras))
+        return assemble(self.pattern, (rows for batch in (boards, walls) for rows in batch))
 
-    def equations(self, state: State) -> NormalEquations:
-        """The normal equations, priors included."""
+    def equations(self, state: State, views: IntArray | None = None) -> NormalEquations:
+        """The normal equations, priors included; of some views, or of all."""
         gradient = self.prior.information @ (self.vector(state) - self.prior.mean)
-        return self.data_equations(state).regular().plus(self.prior.information, gradient)
+        units = self.unit_information * self.unit_vector(state)
+        data = self.data_equations(state, views).plus_units(self.unit_information, units)
+        return data.regular().plus(self.prior.information, gradient)
 
     def cost(self, state: State) -> float:
         """Half the weighted sum of squares."""
@@ -270,6 +364,8 @@ class Problem:
         pixel, depth = self.residuals(state)
         w_pixel, w_depth = self.weights.scales(self.obs)
         squares = np.sum((pixel * w_pixel[..., None]) ** 2) + np.sum((depth * w_depth) ** 2)
+        squares += np.sum((self.wall_residuals(state) * self.weights.wall_scales(self.setup.walls)) ** 2)
+        squares += np.sum(self.unit_information * self.unit_vector(state) ** 2)
         return 0.5 * float(squares + d @ self.prior.information @ d)
 
     def using(self, obs: Observations) -> Problem:

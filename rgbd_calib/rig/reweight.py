@@ -19,11 +19,11 @@ import numpy as np
 
 from rgbd_calib.geometry.linear import Assembly, Covariance, IntArray
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.rig.blocks.block import Kind
+from rgbd_calib.rig.blocks.block import Component, Kind
 from rgbd_calib.rig.blocks.board_shape import nominal_corners_m
 from rgbd_calib.rig.observations import Observations
 from rgbd_calib.rig.pose_rows import N_PARTS, pose_rows
-from rgbd_calib.rig.problem import KINDS, Problem, State
+from rgbd_calib.rig.problem import OF_BOARDS, Problem, State
 from rgbd_calib.rig.weights import (
     DEPTH_PARTS,
     N_PIXEL,
@@ -38,6 +38,12 @@ from rgbd_calib.rig.weights import (
 
 MIN_CELL_SPREAD = 0.01
 """Least variance of the logarithm of the cells' sizes that tells how noise falls with them."""
+PATCHES = (10, 8)
+"""Of the image of a wall, across and down: finer than the shapes of a depth field."""
+MIN_PATCHES = 27
+"""Patches that a field of the sixth degree explains."""
+MEDIAN_OF_ABSOLUTE = 0.6745
+"""Of a normal error, in deviations."""
 MIN_REDUNDANCY = 10.0
 """A group with less takes the variance of all cameras together."""
 
@@ -73,6 +79,7 @@ def reweighted(problem: Problem, state: State, covariance: Covariance) -> Weight
         k_depth=old.k_depth * np.sqrt(factors[1]),
         ratio_pixel=ratios[0],
         ratio_depth=ratios[1],
+        sizes={c.name: _size(problem, state, covariance, at, c) for at, c in problem.components},
     )
     return _robust(problem, state, new, pixel, depth)
 
@@ -80,14 +87,56 @@ def reweighted(problem: Problem, state: State, covariance: Covariance) -> Weight
 def _absorbed(problem: Problem, state: State, covariance: Covariance) -> dict[Kind, FloatArray]:
     """tr(J Cov J') of each camera's rows (C,), by kind."""
     n_cameras = len(problem.setup.cameras)
-    out = {kind: np.zeros(n_cameras) for kind in KINDS}
+    out = {kind: np.zeros(n_cameras) for kind in OF_BOARDS}
     for c in range(n_cameras):
-        parts = {kind: Assembly(problem.pattern) for kind in KINDS}
+        parts = {kind: Assembly(problem.pattern) for kind in OF_BOARDS}
         for _, look, rows in problem.rows(state, np.flatnonzero(problem.obs.camera == c)):
             parts[look.kind].add(rows)
         for kind, own in parts.items():
             out[kind][c] = covariance.trace(own.equations())
     return out
+
+
+def _size(problem: Problem, state: State, covariance: Covariance, at: IntArray, component: Component) -> float:
+    """The size of a variance component: scaled inverse chi^2 about what is usual, of the parameters that the data tell.
+
+    theta' R theta / size^2 ~ chi^2 with as many degrees of freedom as the data have added to the prior's, k - tr(C R) / size^2
+    (D. MacKay, Neural Computation 4(3), 1992).
+    """
+    theta, now = problem.vector(state)[at], problem.weights.sizes[component.name] ** 2
+    told = len(at) - float(np.sum(covariance.of_globals[np.ix_(at, at)] * component.structure)) / now
+    squares = component.dof * component.usual**2 + float(theta @ component.structure @ theta)
+    return float(np.sqrt(squares / (component.dof + max(told, 0.0))))
+
+
+def _wall_weights(problem: Problem, state: State) -> tuple[FloatArray, FloatArray]:
+    """k (C,) and robust weights (W, N) of the cells of walls.
+
+    What neighbouring cells, and the same place of all walls, have in common is no noise that averages out: the variance is
+    that of the means of patches over all walls of a camera, times the cells in each.
+    """
+    walls, old, own = problem.setup.walls, problem.weights, problem.setup
+    k, robust = old.k_wall.copy(), old.robust_wall
+    if not walls.n:
+        return k, robust
+    r = problem.wall_residuals(state) / np.where(walls.seen, walls.depth_m**2, 1.0)
+    for c in range(len(own.cameras)):
+        mine = walls.camera == c
+        used = walls.seen[mine]
+        if not used.any():
+            continue
+        place = np.clip((walls.pixels_px[mine] + 0.5) / own.sizes_px[c] * PATCHES, 0, np.array(PATCHES) - 1).astype(int)
+        patch = (place[..., 0] * PATCHES[1] + place[..., 1])[used]
+        w = robust[mine][used]
+        count, total = np.bincount(patch, w), np.bincount(patch, w * r[mine][used])
+        there = count > 0
+        left = max(int(there.sum()) - MIN_PATCHES, 1)
+        in_common = float(np.sum(total[there] ** 2 / count[there])) / left
+        alone = float(np.sum(w * r[mine][used] ** 2) / np.sum(w))
+        k[c] = max(np.sqrt(max(in_common, alone)), 1e-6)
+    sigma = np.where(walls.seen, k[walls.camera, None], 1.0)
+    alone_sigma = np.sqrt(np.median((r**2)[walls.seen])) / MEDIAN_OF_ABSOLUTE if walls.seen.any() else 1.0
+    return k, huber((r / np.minimum(sigma, 3 * alone_sigma))[..., None], own.params.huber_sigmas) * walls.seen
 
 
 def _robust(problem: Problem, state: State, new: Weights, pixel: FloatArray, depth: FloatArray) -> Weights:
@@ -102,8 +151,11 @@ def _robust(problem: Problem, state: State, new: Weights, pixel: FloatArray, dep
     n3 = np.maximum(obs.has_depth.sum(axis=1), 1)
     noise3_m2 = np.mean(new.ratio_depth**2) * np.sum(sigma3**2 * obs.has_depth, axis=1) / n3
     rounding = noise3_m2 / np.maximum(noise3_m2 + obs.rounding_m**2, 1e-30)
+    k_wall, robust_wall = _wall_weights(problem, state)
     return replace(
         new,
+        k_wall=k_wall,
+        robust_wall=robust_wall,
         cell_exponent=exponent,
         robust_pixel=huber(off2, limit),
         robust_depth=huber(off3[..., None], limit) * rounding[:, None],

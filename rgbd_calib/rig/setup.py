@@ -10,11 +10,11 @@ import numpy as np
 
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.rig.observations import Observations
+from rgbd_calib.rig.observations import Observations, Walls
 from rgbd_calib.types import Board, DepthBias
 
-N_WEAK_BIAS = 3
-"""Coefficients of a depth bias that has no recording: offset, scale, curvature."""
+N_WEAK_BIAS = 4
+"""Coefficients of a depth bias that is not given: offset, scale, curvature, and what bends the curve once more."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,8 @@ class BundleParams:
     """First guess of k in sigma_z = k z^2, for the mean over a corner's cell; estimated."""
     structure: Literal["board", "free"] = "board"
     """board: rigid, as printed, with a bow. free: the corners that cameras share are points of their own."""
+    hold: tuple[str, ...] = ()
+    """Blocks of unknowns that are held at zero instead, by name."""
     free_intrinsics: bool = True
     free_k3: bool = False
     free_bow: bool = True
@@ -50,7 +52,33 @@ class BundleParams:
     bias_scale_sd: float = 0.010
     """Prior of the depth's scale without a bias recording: consumer sensors are good to 1 %."""
     bias_curvature_sd_per_m: float = 0.005
-    """Prior of the depth bias's quadratic term without a bias recording."""
+    """Prior of the depth bias's quadratic term without a bias recording; of each further term a fifth of the one before."""
+    tape_sd_m: float = 0.002
+    """Prior of what all written distances of a camera's walls are off by: one tape, one zero."""
+    wall_tilt_sd_rad: float = 0.035
+    """Prior of how far a wall is from square to the camera, 2 degrees."""
+    k_wall_per_m: float = 0.002
+    """First guess of k in sigma_z = k z^2 for a cell of a wall; estimated."""
+    corner_offset_m: float = 0.00005
+    """Usual offset of a printed corner from where it should be, each way; estimated."""
+    back_shift_sd_m: float = 0.001
+    """Prior of the back's sheet beside the front's, each way."""
+    back_turn_sd_rad: float = 0.0052
+    """Prior of the back's sheet turned against the front's, 0.3 degrees."""
+    back_scale_sd: float = 0.001
+    """Prior of the back's print larger than the front's: one printer, one day."""
+    thickness_sd_m: float = 0.0005
+    """Prior of the board's thickness: a ruler."""
+    registration_sd_px: float = 2.5
+    """Prior of the depth image beside its colour image."""
+    registration_scale_sd: float = 0.005
+    """Prior of its magnification."""
+    registration_turn_sd_rad: float = 0.003
+    """Prior of its turn."""
+    registration_baseline_sd_m: float = 0.003
+    """Prior of what is wrong with the baseline that the driver registers with, each way."""
+    field_per_m: float = 0.001
+    """Usual size of the depth's error over the image, z^2 times it for each shape; estimated."""
     huber_sigmas: float = 3.0
     max_view_ratio: float = 4.0
     max_depth_sigmas: float = 5.0
@@ -78,6 +106,8 @@ class CameraPrior:
     """What is known exactly: intrinsics and depth bias, or the pose too (its start is the pose)."""
     depth_unit_m: float = 0.001
     """Depth comes in whole multiples of it."""
+    bias_is_start: bool = False
+    """True where the depth bias is only a start: the walls that it rests on are in the bundle."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +122,7 @@ class Setup:
     board: Board
     obs: Observations
     params: BundleParams
+    walls: Walls
 
     @classmethod
     def of(
@@ -102,9 +133,10 @@ class Setup:
         board: Board,
         obs: Observations,
         params: BundleParams,
+        walls: Walls | None = None,
     ) -> Setup:
         poses = np.stack([T_world_color[name] for name in priors])
-        return cls(tuple(priors), tuple(priors.values()), reference, poses, board, obs, params)
+        return cls(tuple(priors), tuple(priors.values()), reference, poses, board, obs, params, walls or Walls.none())
 
     @property
     def sizes_px(self) -> FloatArray:

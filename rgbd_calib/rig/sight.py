@@ -41,7 +41,7 @@ class Sight:
 
 @dataclass(frozen=True)
 class Look:
-    """Rows of one kind: what is predicted of a view's corners, and how that moves; r rows for each corner."""
+    """Rows of one kind, of n views or walls: what is predicted, and how that moves; r rows for each of N corners or cells."""
 
     kind: Kind
     camera: int
@@ -49,23 +49,32 @@ class Look:
     """(n, N, 2), of the image that the row is of."""
     depth_m: FloatArray
     """(n, N), as reported."""
-    predicted: FloatArray
-    """(n, N, r)."""
-    sight: Sight
-    by_point: FloatArray
-    """(n, N, r, 3), by the point in the parent's frame."""
+    left: FloatArray
+    """(n, N, r), predicted less measured: px, or metres of reported depth."""
+    views: Sight | None = None
+    """Of a board."""
+    by_point: FloatArray | None = None
+    """(n, N, r, 3), by the point in the parent's frame; of a board."""
     by_normal: FloatArray | None = None
-    """(n, N, r, 3), by the board's normal in the parent's frame; None where it has no part."""
+    """(n, N, r, 3), by the board's normal in the parent's frame; of depth on a board."""
+    by_shift: FloatArray | None = None
+    """(n, N, 2), by a shift of the depth image against the colour image, m/px; of depth on a board."""
     by_lens: FloatArray | None = None
     """(n, N, r, 4 + k), by the intrinsics; of pixels."""
     slope: FloatArray | None = None
     """(n, N), of the corrected by the reported depth; of depth."""
-    left_m: FloatArray | None = None
-    """(n, N), predicted less corrected depth over the slope: what the reported depth is off by; of depth."""
+    by_distance: FloatArray | None = None
+    """(n, N), by the distance of the wall; of walls."""
+
+    @property
+    def sight(self) -> Sight:
+        assert self.views is not None, "rows of walls have no view"
+        return self.views
 
     @cached_property
     def by_motion(self) -> FloatArray:
         """(n, N, r, 6), by a motion (rad, m) of all that the view shows, in the parent's frame."""
+        assert self.by_point is not None
         turn = np.cross(self.sight.p_parent[:, :, None], self.by_point)
         if self.by_normal is not None:
             turn = turn + np.cross(self.sight.R_parent_board[:, None, None, :, 2], self.by_normal)
@@ -74,5 +83,6 @@ class Look:
     @cached_property
     def by_point_on_board(self) -> FloatArray:
         """(n, N, r, 3), by the point in the board's frame; nothing where corners are points of their own."""
+        assert self.by_point is not None
         held = np.where(self.sight.freed[:, None, None], 0.0, self.sight.R_parent_board)
         return np.asarray(self.by_point @ held[:, None])

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 
 from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.geometry.depth_error import PolynomialField
 from rgbd_calib.geometry.linear import Covariance, IntArray
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.rig.blocks import DepthBiasBlock
+from rgbd_calib.rig.blocks import DepthBiasBlock, depth_field, registration
 from rgbd_calib.rig.common_errors import CommonErrors
 from rgbd_calib.rig.observability import Observability
 from rgbd_calib.rig.problem import Problem, State
 from rgbd_calib.rig.setup import CameraPrior
-from rgbd_calib.types import DepthBias, PlacedView
+from rgbd_calib.types import DepthBias, DepthCamera, DepthField, PlacedView
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,32 @@ class Solution:
         low, high = (float(z) for z in block.range_m[i])
         coefficients = tuple(float(c) for c in self.state.values["depth bias"][i, :n])
         return DepthBias(coefficients, low, high, self.depth_rms_m(camera), self.covariance[np.ix_(at, at)])
+
+    def depth_field(self, camera: str) -> DepthField | None:
+        """What its depth errs by over the image; None where that is held at zero."""
+        i = self.cameras.index(camera)
+        if (
+            "depth field" not in self.problem.parts
+            or not self.problem.prior.free[self.index("depth field", camera)].any()
+        ):
+            return None
+        lens, at = self.prior_of(camera).intrinsics, self.index("depth field", camera)
+        block = self.problem.block("depth bias")
+        assert isinstance(block, DepthBiasBlock)
+        low, high = (float(z) for z in block.range_m[i])
+        coefficients = self.state.values["depth field"][i].reshape(len(depth_field.POWERS), -1)
+        pattern = self.problem.local[i] if self.problem.local else None
+        size, covariance = (lens.width, lens.height), self.covariance[np.ix_(at, at)]
+        return PolynomialField(
+            *size, depth_field.DEGREE, depth_field.POWERS, coefficients, low, high, covariance, pattern
+        )
+
+    def depth_camera(self, camera: str) -> DepthCamera | None:
+        """The camera that its depth image is of, where that is not quite the colour camera; None without depth."""
+        i = self.cameras.index(camera)
+        if "registration" not in self.problem.parts or not self.has_depth[i]:
+            return None
+        return registration.depth_camera(self.intrinsics(camera), self.state.values["registration"][i])
 
     def depth_rms_m(self, camera: str) -> float:
         """RMS of the depth residuals that were used, metres."""

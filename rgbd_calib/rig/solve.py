@@ -42,7 +42,7 @@ def minimize(problem: Problem, state: State, max_iterations: int, tolerance: flo
     for iteration in range(1, max_iterations + 1):
         equations = problem.equations(state)
         while True:
-            step = equations.step(problem.free, damping)
+            step = equations.step(problem.prior.free, damping)
             trial = problem.moved(state, *step) if step is not None else state
             now = problem.cost(trial) if step is not None else np.inf
             if np.isfinite(now) and now <= best and problem.in_front(trial):
@@ -63,7 +63,7 @@ def minimize(problem: Problem, state: State, max_iterations: int, tolerance: flo
 
 
 def covariance(problem: Problem, state: State) -> Covariance:
-    """Of all unknowns at a minimum, what is held at its prior counted with its uncertainty.
+    """Of all unknowns at a minimum.
 
     Raises
     ------

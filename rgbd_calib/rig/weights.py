@@ -8,18 +8,21 @@ alike; the covariance takes the first part's own variances, `ratio`^2 times the 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from rgbd_calib.geometry.linear import IntArray
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.rig.observations import Observations
+from rgbd_calib.rig.observations import Observations, Walls
 from rgbd_calib.rig.setup import BundleParams
 
 PIXEL_PARTS, DEPTH_PARTS = np.array([0, 1, 2, 3, 3, 3]), np.array([0, 1, 1])
 """What is alike in the pose part of a view: the board's shift along the camera's axes, each by itself, and its turns, in
 the pixels; its offset, and its tilts, in the depth."""
+SIZES_COUNT = 0.1
+"""Share of a change of a variance component that counts: of a prior, it moves the estimate less than a sigma does."""
 N_PIXEL, N_DEPTH = len(PIXEL_PARTS), len(DEPTH_PARTS)
 
 
@@ -46,14 +49,24 @@ class Weights:
     """(V, 2 N, 6): along the camera's axes x, y, z, then turns; less than orthonormal where a view has less."""
     Q_depth: FloatArray
     """(V, N, 3): offset, then tilts."""
+    k_wall: FloatArray
+    """(C,), 1/m: sigma_z = k z^2 of a cell of a wall."""
+    robust_wall: FloatArray
+    """(W, N), 0 ... 1."""
+    sizes: Mapping[str, float]
+    """Of the variance components of the unknowns, by name."""
 
     @classmethod
-    def first(cls, obs: Observations, n_cameras: int, params: BundleParams) -> Weights:
+    def first(
+        cls, obs: Observations, walls: Walls, n_cameras: int, sizes: Mapping[str, float], params: BundleParams
+    ) -> Weights:
         """Equal weights, no pose part."""
         V, N = obs.has_pixel.shape
         sigma, k = np.full(n_cameras, params.sigma_2d_px), np.full(n_cameras, params.k_depth_per_m)
         one, ratios = np.ones((V, N)), (np.ones(N_PIXEL), np.ones(N_DEPTH))
-        return cls(sigma, k, 0.0, *ratios, one, one, np.zeros((V, 2 * N, N_PIXEL)), np.zeros((V, N, N_DEPTH)))
+        Q = np.zeros((V, 2 * N, N_PIXEL)), np.zeros((V, N, N_DEPTH))
+        k_wall = np.full(n_cameras, params.k_wall_per_m)
+        return cls(sigma, k, 0.0, *ratios, one, one, *Q, k_wall, np.ones(walls.seen.shape), dict(sizes))
 
     @property
     def excess(self) -> FloatArray:
@@ -69,12 +82,18 @@ class Weights:
         w_pixel = np.sqrt(self.robust_pixel) * obs.has_pixel / self.sigma_2d_px[obs.camera, None]
         return w_pixel, np.sqrt(self.robust_depth) * obs.has_depth / self.depth_sigma_m(obs)
 
+    def wall_scales(self, walls: Walls) -> FloatArray:
+        """The same (W, N) of the cells of walls, for residuals in metres."""
+        return np.sqrt(self.robust_wall) * walls.seen / (self.k_wall[walls.camera, None] * walls.depth_m**2)
+
     def change(self, other: Weights) -> float:
         """Largest relative difference of any sigma or ratio."""
         if abs(self.cell_exponent - other.cell_exponent) > 0.1:
             return 1.0
         names = "sigma_2d_px", "k_depth", "ratio_pixel", "ratio_depth"
-        return max(float(np.max(np.abs(np.log(getattr(self, n) / getattr(other, n))))) for n in names)
+        ratios = [getattr(self, n) / getattr(other, n) for n in (*names, "k_wall")]
+        ratios.append(np.array([1.0, *(size / other.sizes[name] for name, size in self.sizes.items())]) ** SIZES_COUNT)
+        return max(float(np.max(np.abs(np.log(ratio)))) for ratio in ratios)
 
 
 def split(r: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,11 +1,11 @@
-"""A bent and warped board in a ray caster of flat rectangles: from where a ray meets a flat face to where it meets the real
-one, and what is printed there.
+"""Rendering of a bent, distorted print with a ray caster of flat rectangles: where a ray meets the true face, and the page
+coordinates there.
 
-The ray caster knows the plate as it was meant. A ray from the eye e through the place q of a flat face goes on to
+The ray caster contains the nominal plate. A ray from the eye e through the point q of a flat face continues to
 
     e + stretch (q - e) = sheet.points_m(page)
 
-Both unknowns are smooth over the face; they are solved on a grid once for each picture, and linear in between.
+Both unknowns are smooth over the face. They are solved on a grid, once per image, and interpolated linearly.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from rgbd_calib.simulation.board import BORDER_M, outline_m
 from rgbd_calib.simulation.printed import Printed, Sheet
 
 _NODE_M = 0.008
-"""Between nodes: offsets that turn once in 0.2 m are linear in between to 1 % of their size."""
+"""Grid spacing: offsets with a period of 0.2 m are linear in between to 1 % of their amplitude."""
 _ROW = 1024
 _EDGE_ON_M = 0.05
-"""An eye that is nearer than this to a face's plane sees nothing of its print."""
+"""An eye nearer than this to the plane of a face does not see its print."""
 _ROUNDS = 6
-"""Each leaves a per cent of the error: the slopes of bow and offsets."""
+"""Fixed-point iterations; each reduces the error to 1 %, the slope of bow and offsets."""
 
 
 @dataclass(frozen=True)
 class BentFace:
-    """One face as one eye sees it; places are (s, t), metres along the edges of the flat face's rectangle."""
+    """One face as seen from one eye; (s, t) are metres along the edges of the flat face's rectangle."""
 
     nodes: np.ndarray
-    """(b, a, 3), float32: what is added to s and t, and to a stretch of 1, at nodes along t and s."""
+    """(b, a, 3), float32: increments of s, t and stretch (from 1) at grid nodes along t and s."""
     step_m: FloatArray
     """(2,), along s and t."""
 
     def meet(self, s_m: FloatArray, t_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Places on the page (s, t), and stretch, of rays through places (...) of the flat face."""
+        """Page coordinates (s, t) and stretch of rays through points (...) of the flat face."""
         n = s_m.size
-        # OpenCV looks up images of less than 32768 a side; it rounds places to 1/32 of a step, that is 3 um on the page
+        # cv2.remap takes at most 32767 rows; it rounds positions to 1/32 of a cell, which is 3 um on the page
         maps = np.zeros((2, -(-n // _ROW), _ROW), np.float32)
         for own, place, step in zip(maps, (s_m, t_m), self.step_m, strict=True):
             own.reshape(-1)[:n] = place.reshape(-1) / step
@@ -51,9 +51,8 @@ class BentFace:
 
 
 def bent_faces(print_: Printed | None, T_room_board: FloatArray, eye_m: FloatArray) -> dict[int, BentFace]:
-    """Faces by the number of their rectangle in :func:`board.plate`, as an eye (3,) in the room sees them.
-
-    Those that it does not see are left out; None: a board as it should be, which has none.
+    """Visible faces by the number of their rectangle in :func:`board.plate`, for an eye (3,) in the room; none for an ideal board
+    (None).
     """
     if print_ is None:
         return {}
@@ -73,7 +72,9 @@ def _bent_face(sheet: Sheet, eye_m: FloatArray) -> BentFace:
     s, t = np.meshgrid(np.linspace(0, size[0], n[0]), np.linspace(0, size[1], n[1]))
     z = high[2] if sheet.back else low[2]
     q = np.stack([high[0] - s if sheet.back else low[0] + s, low[1] + t, np.full_like(s, z)], axis=-1)
-    first = sheet.board.square_m + BORDER_M  # the page begins at corner (0, 0), the rectangle at the border's edge
+    first = (
+        sheet.board.square_m + BORDER_M
+    )  # the page's origin is corner (0, 0), the rectangle's the edge of the border
     page = flat = np.stack([s, t], axis=-1) - first
     stretch = np.ones_like(s)
     for _ in range(_ROUNDS):

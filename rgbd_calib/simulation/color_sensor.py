@@ -1,11 +1,10 @@
-"""What a colour camera makes of the light: focus, colour fringes, exposure, noise, the sRGB curve and 8 bits.
+"""The colour camera: defocus, chromatic aberration, exposure, noise, sRGB curve and quantisation.
 
-Defocus spreads a point at depth z over a disc of diameter K |1/z - 1/z_focus|, with K the focal length in px times the
-aperture's diameter: 1.1 px m for 550 px and 2 mm. A disc of diameter D is taken as a Gaussian of deviation D / 4, the disc's
-own deviation.
+A point at depth z is blurred to a disc of diameter K |1/z - 1/z_focus|, with K the focal length in px times the aperture diameter:
+1.1 px m for 550 px and 2 mm. A disc of diameter D is approximated by a Gaussian with the same standard deviation, D / 4.
 
-Auto exposure makes the mean of the image a middle grey, but does not burn out more than a few pixels, and is a little off.
-Noise is that of photons, and grows with the gain where light lacks.
+Auto exposure brings the image mean to middle grey without saturating more than a few pixels, up to a small error. Noise is photon
+noise and grows with the gain.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from rgbd_calib.simulation.render import Picture
 
 _NOISE_FLOOR = 0.02
 _MIDDLE, _SLOPE = 0.214, 1.16
-"""Linear light of middle grey, and the sRGB curve's slope there, which turns grey steps into light."""
+"""Linear light of middle grey and the slope of the sRGB curve there, to convert grey levels to light."""
 _MEAN = 0.18
-"""Linear light that exposure makes the mean of an image."""
-_BURNT, _BURNT_SHARE = 0.97, 0.98
+"""Target mean of the linear image."""
+_BURNT, _BURNT_SHARE = 0.97, 0.995
 _GAINS = (0.3, 8.0)
 _METER_STEP = 8
-"""Exposure is metered at every eighth pixel, each way."""
+"""Exposure is metered on every eighth pixel in each direction."""
 
 
 @dataclass(frozen=True)
@@ -40,18 +39,18 @@ class ColorNoise:
     vignette: float = 0.12
     """Light lost in the image's corners."""
     fringe_px: float = 0.0
-    """Lateral chromatic aberration: red lies this much farther out than green in the image's corners, blue farther in."""
+    """Lateral chromatic aberration: radial shift of red outwards and of blue inwards in the image corners."""
 
 
 @dataclass(frozen=True)
 class Optics:
-    """What one camera does beyond that: focus and exposure."""
+    """Focus and auto exposure."""
 
     focus_m: float
     defocus_px_m: float
-    """K, px m; 0: sharp everywhere."""
+    """K, px m; 0: no defocus."""
     exposure_error: float
-    """Deviation of the exposure, relative."""
+    """Relative standard deviation of the exposure."""
 
 
 def develop(
@@ -63,7 +62,7 @@ def develop(
 ) -> np.ndarray:
     """The image (h, w, 3), uint8, B G R, that the colour camera gives.
 
-    Without `optics` it has a fixed focus and exposure. `lit` (h, w) is how much more light there is than in the picture.
+    Without `optics`, no defocus and a fixed exposure. `lit` (h, w): illumination relative to the picture's.
     """
     light: np.ndarray = np.asarray(picture.light, np.float32)
     h, w = light.shape[:2]
@@ -91,13 +90,13 @@ def _blurred(light: np.ndarray, z_m: np.ndarray, blur_px: float, optics: Optics 
     sigma2 = (optics.defocus_px_m / 4 * np.abs(1 / np.maximum(z_m, 0.1) - 1 / optics.focus_m)) ** 2
     most2 = float(sigma2.max())
     soft = cv2.GaussianBlur(light, (0, 0), float(np.sqrt(blur_px**2 + most2)), borderType=cv2.BORDER_REPLICATE)
-    # a mixture of two Gaussians has the mean of their variances
+    # the variance of a mixture of two Gaussians is the weighted mean of their variances
     weight = (sigma2 / max(most2, 1e-12)).astype(np.float32)[..., None]
     return np.asarray(sharp + weight * (soft - sharp))
 
 
 def _fringed(light: np.ndarray, fringe_px: float) -> np.ndarray:
-    """Red (first) enlarged and blue (last) made smaller about the image's middle."""
+    """Red (first channel) magnified and blue (last) reduced about the image centre."""
     h, w = light.shape[:2]
     out = light.copy()
     for channel, sign in ((0, 1), (2, -1)):

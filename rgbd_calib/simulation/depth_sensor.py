@@ -6,7 +6,8 @@ sigma_z = z^2 sigma_d / (f b) = k z^2.
 
 References
 ----------
-K. Khoshelham, S. Oude Elberink, Accuracy and resolution of Kinect depth data, Sensors 12(2), 2012.
+K. Khoshelham, S. Oude Elberink, Accuracy and resolution of Kinect depth data, Sensors 12(2), 2012. C. Nguyen, S. Izadi,
+D. Lovell, Modeling Kinect sensor noise for improved 3D reconstruction and tracking, 3DIMPVT 2012 (oblique surfaces).
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ class DepthNoise:
     """A jump of disparity between neighbours that leaves no measurement beside it."""
     grazing_cos: float = 0.17
     """No measurement where the cosine between ray and surface normal is less (80 degrees)."""
+    oblique_m: float = 0.0
+    """Additional noise on oblique surfaces, oblique_m / sqrt(z) theta^2 / (pi/2 - theta)^2, theta the angle to the normal."""
     ideal: bool = False
     """True: no noise, no quantisation, no bias and no holes but those of range."""
 
@@ -50,7 +53,7 @@ class DepthNoise:
 STEREO = DepthNoise(
     focal_px=385.0, baseline_m=0.050, k_per_m=4.0e-3, disparity_step_px=1 / 32, window_px=(13, 9), min_m=0.3, max_m=8.0
 )
-"""Two cameras and a projector of texture, as in a RealSense D435: 0.08 px of disparity."""
+"""Active stereo like a RealSense D435: 0.08 px disparity noise."""
 
 
 def biased(z_true_m: FloatArray, bias: DepthBias) -> FloatArray:
@@ -78,7 +81,10 @@ def measure(
     if not noise.ideal:
         seen &= ~_holes(z_m, cos_incidence, noise, rng)
         z_m = biased(z_m, bias) if field is None else reported(z_m, bias, field)
-        disparity = noise.product / z_m + _noise_px(z_m.shape, noise, rng)
+        noise_px = _noise_px(z_m.shape, noise, rng)
+        if noise.oblique_m:
+            noise_px *= _oblique(z_m, cos_incidence, noise)
+        disparity = noise.product / z_m + noise_px
         disparity = np.round(disparity / noise.disparity_step_px) * noise.disparity_step_px
         z_m = noise.product / np.maximum(disparity, noise.disparity_step_px)
     seen &= (z_m > noise.min_m) & (z_m < noise.max_m)
@@ -98,6 +104,13 @@ def _noise_px(shape: tuple[int, ...], noise: DepthNoise, rng: np.random.Generato
     columns = np.cumsum(np.pad(rows[height:] - rows[:-height], ((0, 0), (1, 0))), axis=1)
     sums: FloatArray = columns[:, width:] - columns[:, :-width]
     return sigma_px * sums / np.sqrt(width * height)
+
+
+def _oblique(z_m: FloatArray, cos_incidence: FloatArray, noise: DepthNoise) -> FloatArray:
+    """Factor (h, w) of the noise on oblique surfaces."""
+    angle = np.arccos(np.clip(cos_incidence, noise.grazing_cos, 1.0))
+    more_m = noise.oblique_m / np.sqrt(z_m) * (angle / (np.pi / 2 - angle)) ** 2
+    return np.hypot(1.0, more_m / (noise.k_per_m * z_m**2))
 
 
 def _holes(z_m: FloatArray, cos_incidence: FloatArray, noise: DepthNoise, rng: np.random.Generator) -> np.ndarray:

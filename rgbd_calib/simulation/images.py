@@ -1,7 +1,7 @@
-"""One pair of images after the other, in any process: what each knows, and what it keeps.
+"""Makes the images of a simulation, one colour and depth pair per job, in any number of processes.
 
-Every image has its own random generator, made of the seed, its kind, camera and frame, so that the bytes do not depend
-on the number of processes or on their order.
+Each pair has its own random generator, seeded by seed, camera and frame, so that the bytes do not depend on the number of
+processes or their order.
 """
 
 from __future__ import annotations
@@ -41,20 +41,20 @@ from rgbd_calib.simulation.wall import WALL_COLOR, render_wall
 
 @dataclass(frozen=True)
 class Setting:
-    """What every process knows."""
+    """The state shared by all processes."""
 
     params: SimulationParams
     rig: TrueRig
     board: Printed | None
-    """None: as it should be."""
+    """None: an ideal board."""
     folder: Path
     rooms: Path
-    """Folder of the finished pictures of the empty room."""
+    """Folder of the rendered images of the empty room."""
 
 
 _LIGHT_STEP = 4
 _FAR_M = 20.0
-"""Where nothing is, as far as light is concerned."""
+"""Depth assumed for the light where nothing is hit."""
 
 _setting: Setting
 
@@ -114,18 +114,18 @@ def _room_reflectance(camera: str) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Sight:
-    """What a depth camera has before it."""
+    """What a depth camera sees."""
 
     z_m: FloatArray
     """(h, w)."""
     cos_incidence: FloatArray
     """(h, w)."""
     reflectance: FloatArray | None
-    """(h, w); None where nobody asks for it."""
+    """(h, w); None if not needed."""
 
 
 def make_images(job: Job) -> tuple[tuple[str, str, str], list[tuple[Any, ...]]]:
-    """Make, save, and give the true corners of one pair of images."""
+    """Make and save one pair of images; returns its key and its rows of true_corners.csv."""
     params = _setting.params
     rng = generator(params.seed, IMAGE, _setting.rig.cameras.index(job.camera), int(job.frame))
     view = _view(job.camera)
@@ -146,7 +146,7 @@ def make_images(job: Job) -> tuple[tuple[str, str, str], list[tuple[Any, ...]]]:
 
 
 def _make_depth(folder: Path, job: Job, sight: _Sight, rng: np.random.Generator) -> None:
-    """Measure and save the depth image, and the infrared one where there are some."""
+    """Measure and save the depth image and, if wanted, the infrared image."""
     params, truth = _setting.params, _setting.rig
     sensor, bias, field = params.depth_noise, truth.depth_bias[job.camera], truth.depth_field.get(job.camera)
     if isinstance(sensor, DepthNoise):
@@ -204,14 +204,14 @@ def _sight(job: Job, picture: Picture, board_caster: Caster | None, rng: np.rand
 
 
 def _taking(job: Job, view: View, z_m: FloatArray) -> tuple[Optics | None, FloatArray | None]:
-    """The camera's focus and exposure, and how much more light (h, w) there is at this instant."""
+    """Focus and exposure of the camera, and the illumination factor (h, w) of this frame."""
     realism = _setting.params.realism
     if not realism.has("images"):
         return None, None
     optics = Optics(_setting.rig.focus_m[job.camera], realism.defocus_px_m, realism.exposure_error)
     at_instant = generator(_setting.params.seed, LIGHT, int(job.frame))
     light = instant_light(realism.light_change, realism.light_slope, at_instant)
-    # it changes over metres: every fourth pixel is enough
+    # smooth over metres: every fourth pixel is enough
     few = np.minimum(z_m[::_LIGHT_STEP, ::_LIGHT_STEP], _FAR_M)
     rays = view.centres.reshape(*z_m.shape, 3)[::_LIGHT_STEP, ::_LIGHT_STEP]
     lit = light.at(view.origin_m + few[..., None] * rays)
@@ -246,14 +246,15 @@ def _true_corners(job: Job, view: View, board_caster: Caster) -> list[tuple[Any,
         return []
     px = K.project(p)
     inside = np.all((px > -0.5) & (px < np.array([K.width, K.height]) - 0.5), axis=1)
-    # beyond the image's diagonal the lens model folds back
-    inside &= np.linalg.norm(p[:, :2] / p[:, 2:], axis=1) < 1.2 * np.hypot(K.width, K.height) / 2 / K.fx
+    # far outside the image a lens model may fold back
+    border = K.rays(np.array([[0, 0], [K.width - 1, 0], [0, K.height - 1], [K.width - 1, K.height - 1.0]]))
+    inside &= np.linalg.norm(p[:, :2] / p[:, 2:], axis=1) < 1.2 * np.linalg.norm(border[:, :2], axis=1).max()
     if not inside.any():
         return []
     toward = se3.transform(job.T_room_board, board.corners_m(back)) - view.origin_m
     eyes = np.broadcast_to(view.origin_m, toward.shape)
     far = 1 - 0.002 / np.linalg.norm(p, axis=1).max()
-    # the ray caster's board is flat, as it should be
+    # occlusion is tested with the flat nominal board of the ray caster
     hidden = _room().blocked(eyes, toward, far) | board_caster.blocked(eyes, toward, far)
     face = "back" if back else "front"
     return [

@@ -1,7 +1,7 @@
-"""What a depth camera's infrared light brings back: how much surfaces reflect, and its images.
+"""Infrared reflectance of the scene, and infrared images of depth cameras.
 
-Dyes and paints that are dark to the eye reflect more in the near infrared; toner is carbon and stays black, at a tenth. The
-light comes from beside the lens, so that nothing lies in shadow, and falls with the square of the distance.
+Most dyes and paints reflect more in the near infrared than in visible light; toner is carbon and stays dark, at about 0.1. The
+illumination is next to the lens: no shadows, and a decrease with the square of the distance.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from rgbd_calib.simulation.view import View
 
 _BLUR_PX = 0.5
 _FULL = {np.dtype(np.uint16): 30000.0, np.dtype(np.uint8): 200.0}
-"""Value of white paper at 1 m."""
+"""Pixel value of white paper at 1 m."""
 _PHOTONS = 20000.0
-"""At that value: noise is 1/140 of it."""
+"""Photons at that value: noise is 1/140 of it."""
 _FLOOR = 2e-4
 
 
 def reflectance(color: FloatArray) -> FloatArray:
-    """Share of infrared light (n,) that surfaces of a linear colour (n, 3) reflect."""
+    """Infrared reflectance (n,) of surfaces with a linear colour (n, 3)."""
     return np.asarray(0.06 + 0.85 * color.mean(axis=-1) ** 0.7)
 
 
 def room_reflectance(view: View, caster: Caster) -> FloatArray:
-    """Share of light (h, w) that the surfaces at the middles of pixels reflect."""
+    """Infrared reflectance (h, w) at the pixel centres."""
     hits = caster.cast(view.origin_m, view.centres)
     seen = np.flatnonzero(hits.quad >= 0)
     points = view.origin_m + hits.t[seen, None] * view.centres[seen]
@@ -49,7 +49,7 @@ def with_board_reflectance(
     bent: Mapping[int, BentFace],
     rng: np.random.Generator,
 ) -> FloatArray:
-    """The room's reflectance (h, w) with the board before it, edges of its print where they truly are."""
+    """Reflectance (h, w) of the room with the board in front, averaged over pixels at the edges of the print."""
     out = room.copy()
     every = np.arange(len(seen.pixels))
     color = board_albedo(view, board_caster.scene, seen, every, bent, rng)
@@ -60,7 +60,7 @@ def with_board_reflectance(
 def infrared_image(
     amplitude: FloatArray, kind: type[np.uint8] | type[np.uint16], rng: np.random.Generator
 ) -> np.ndarray:
-    """The image (h, w) of amplitudes (h, w), 1 for white paper at 1 m, straight ahead."""
+    """The image (h, w) for amplitudes (h, w); 1 is a perfect reflector at 1 m, facing the camera."""
     light = cv2.GaussianBlur(amplitude.astype(np.float32), (0, 0), _BLUR_PX, borderType=cv2.BORDER_REPLICATE)
     noise = np.sqrt(np.maximum(light, 0) / _PHOTONS + _FLOOR**2)
     light = light + noise * rng.standard_normal(light.shape, dtype=np.float32)

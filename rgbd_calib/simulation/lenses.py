@@ -1,7 +1,7 @@
-"""Lenses of other kinds than a colour camera's plain one: wide ones, fisheyes, and those of depth cameras.
+"""Rational and fisheye lenses of colour cameras, and lenses and poses of depth cameras.
 
-Coefficients are those of real devices, a few per cent more or less: the rational ones like an Azure Kinect's (depth: narrow
-field of view), the depth camera of 512 x 424 px like a Kinect v2's (OpenKinect: fx 365.456, k1 0.0905, k2 -0.2682, k3 0.0951).
+Coefficients are those of real devices up to a few per cent: Azure Kinect (rational; depth in its narrow field of view), Kinect v2
+(512 x 424 px; OpenKinect: fx 365.456, k1 0.0905, k2 -0.2682, k3 0.0951), Kinect v1 (640 x 480 px).
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ _DEPTH_LENSES: dict[tuple[int, int], tuple[float, tuple[float, ...]]] = {
     (640, 576): (504.3, _RATIONAL_DEPTH),
     (640, 480): (585.0, (-0.09, 0.31, 0.0, 0.0, -0.2)),
 }
-"""Focal length and coefficients by size: a Kinect v2, an Azure Kinect, a Kinect of 2010."""
+"""Focal length and coefficients by image size: Kinect v2, Azure Kinect, Kinect v1."""
 DEPTH_SIZES = tuple(_DEPTH_LENSES)
 _BASELINE_M = 0.052
-"""Between the colour and the depth camera of a Kinect v2, by design."""
+"""Nominal baseline between colour and depth camera of a Kinect v2."""
 
 
 def color_lens(kind: LensKind, plain: Intrinsics, rng: np.random.Generator) -> Intrinsics:
-    """A lens of this kind for the same images as a plain one."""
+    """A lens of this model for the same image size as the given `brown` lens."""
     if kind == "brown":
         return plain
     if kind == "fisheye":
-        # 90 degrees across, where a board at 3 m is still 8 px a square
+        # about 90 degrees horizontally; a square at 3 m is still 8 px wide
         f = plain.fx * rng.uniform(0.72, 0.76)
         own = np.array(_FISHEYE) * rng.uniform(0.7, 1.3, 4)
         return replace(plain, fx=f, fy=f * plain.fy / plain.fx, distortion=_floats(own), model="kannala_brandt")
@@ -48,7 +48,7 @@ def color_lens(kind: LensKind, plain: Intrinsics, rng: np.random.Generator) -> I
 
 
 def depth_camera(size: tuple[int, int], rng: np.random.Generator) -> DepthCamera:
-    """A depth camera of its own: its lens, and its place beside the colour camera, 52 mm and a degree."""
+    """Lens and pose of a separate depth camera, 52 mm beside the colour camera and rotated by a degree."""
     focal, coefficients = _DEPTH_LENSES[size]
     f = focal * (1 + rng.normal(0, 0.004))
     cx, cy = ((side - 1) / 2 + rng.normal(0, 3.0) for side in size)
@@ -59,8 +59,8 @@ def depth_camera(size: tuple[int, int], rng: np.random.Generator) -> DepthCamera
     return DepthCamera(lens, se3.make(so3.exp(turn), move))
 
 
-def as_the_factory_has_it(camera: DepthCamera, realism: Realism, rng: np.random.Generator) -> DepthCamera:
-    """The same depth camera as its device states it."""
+def factory_calibration(camera: DepthCamera, realism: Realism, rng: np.random.Generator) -> DepthCamera:
+    """The depth camera as its factory calibration states it."""
     lens = camera.intrinsics
     stated = replace(
         lens,

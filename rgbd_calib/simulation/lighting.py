@@ -36,12 +36,12 @@ LIGHTS = (
 
 @dataclass(frozen=True)
 class InstantLight:
-    """How much more light there is at an instant than the lamps give, uneven over the room."""
+    """Illumination of one frame relative to the lamps, non-uniform over the room."""
 
     level: float
     slope: float
     per_m: FloatArray
-    """(3,) wave of the unevenness, over some metres along the floor."""
+    """(3,) wave vector of the non-uniformity, cycles per metre, horizontal."""
     phase_rad: float
 
     def at(self, points_m: FloatArray) -> FloatArray:
@@ -50,7 +50,7 @@ class InstantLight:
 
 
 def instant_light(change: float, slope: float, rng: np.random.Generator) -> InstantLight:
-    """Clouds and people before the lamps: a level and an unevenness of these relative sizes."""
+    """Draw the illumination of a frame (clouds, people in front of lamps) with these relative magnitudes."""
     way, phase = rng.uniform(0, 2 * np.pi, 2)
     wave = np.array([np.cos(way), np.sin(way), 0.0]) / rng.uniform(2.0, 5.0)
     return InstantLight(float(np.exp(rng.normal(0, change))), float(abs(rng.normal(0, slope))), wave, float(phase))

@@ -1,4 +1,4 @@
-"""What to simulate, and the random generator of each piece of it."""
+"""Parameters of a simulation, and its random generators."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from rgbd_calib.simulation.time_of_flight import TimeOfFlight
 from rgbd_calib.types import Board
 
 RIG, SHARED, CLOSE, ROOM, IMAGE, WALL, PRINT, SENSORS, TAPE, LIGHT, LENSES = range(11)
-"""First word of each random generator's key."""
+"""First element of the key of each random generator."""
 
 
 @dataclass(frozen=True)
 class SimulationParams:
-    """What to simulate. `frames` None means 30, or 8 for each camera where that is more."""
+    """What to simulate. `frames` None: 30, or 8 per camera if that is more."""
 
     cameras: int = 4
     layout: Layout = "arc"
@@ -35,19 +35,19 @@ class SimulationParams:
     sensor: Sensor = "structured-light"
     depth_noise: DepthNoise | TimeOfFlight = field(default=DepthNoise())
     bias: bool = True
-    """False: the depth sensors have no bias."""
+    """False: no depth bias."""
     jpeg_quality: int | None = None
-    """None: colour images are PNG."""
+    """None: PNG."""
     lenses: tuple[LensKind, ...] = ("brown",)
-    """Of the colour cameras, in turn."""
+    """Lens models of the colour cameras, in turn."""
     depth_size: tuple[int, int] | None = None
-    """Width and height of depth images that are not registered to colour, px; None: they are registered."""
+    """Width and height of unregistered depth images, px; None: depth is registered to colour."""
     infrared: bool = False
-    """With infrared images of the depth cameras, where depth is not registered."""
+    """Also save infrared images of the depth cameras."""
     realism: Realism = IDEAL
-    """What is wrong besides lenses, bias and noise."""
+    """Errors in addition to lens distortion, depth bias and noise."""
 
 
 def generator(seed: int, *key: int) -> np.random.Generator:
-    """The random generator of one piece of work."""
+    """The random generator of one part of the simulation."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

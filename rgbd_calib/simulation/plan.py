@@ -1,4 +1,4 @@
-"""All images of a simulated session: where the board, or the wall, stands in each."""
+"""The images of a simulated session: pose of the board, or wall, in each."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rgbd_calib.simulation.scene import Caster
 from rgbd_calib.simulation.wall import SQUARE, TapedWall, Wall, tilted
 
 _RECORDINGS = ("intrinsic", "extrinsic", "depth_bias")
-"""As they are filmed."""
+"""In the order of recording."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Job:
     T_room_board: FloatArray | None = None
     wall: TapedWall | None = None
     warm: float = 1.0
-    """How far the session is: the intrinsic recording begins it, the bias recording ends it."""
+    """Elapsed share of the session, from 0 to 1."""
 
 
 def plan(truth: TrueRig, params: SimulationParams) -> tuple[dict[str, FloatArray], dict[str, FloatArray], list[Job]]:
@@ -58,13 +58,14 @@ def plan(truth: TrueRig, params: SimulationParams) -> tuple[dict[str, FloatArray
 
 
 def _in_time(work: list[Job]) -> list[Job]:
-    order = sorted(range(len(work)), key=lambda i: (_RECORDINGS.index(work[i].recording), work[i].frame))
-    rank = {i: k for k, i in enumerate(order)}
-    return [replace(job, warm=rank[i] / len(work)) for i, job in enumerate(work)]
+    """The jobs with their elapsed share of the session; equal for all cameras of a frame."""
+    instants = sorted({(_RECORDINGS.index(job.recording), job.frame) for job in work})
+    share = {frame: k / len(instants) for k, (_, frame) in enumerate(instants)}
+    return [replace(job, warm=share[job.frame]) for job in work]
 
 
 def _tape_error_m(params: SimulationParams) -> float:
-    """What all walls' distances are too long by as written: one tape, one zero."""
+    """Error common to all written wall distances."""
     return float(generator(params.seed, TAPE).normal(0, params.realism.tape_common_m))
 
 

@@ -1,15 +1,15 @@
-"""A checkerboard as a printer and hands make it: sheets that are not square, glued on a plate that is not flat.
+"""A checkerboard as printers and hands make it: sheets that are not square, glued to a plate that is not flat.
 
-A sheet carries a place x on the page as it was drawn (the frame of the face: along its columns, along its rows) to
+A point x of the page as designed (in the frame of the face: columns, rows) is printed at
 
-    face(x) = m + A (x - m) + offset(x) + shift        A = scale S(aspect, shear) turn,   m the page's middle
+    face(x) = m + A (x - m) + offset(x) + shift        A = scale S(aspect, shear) rotation,   m the centre of the page
 
-and the plate lifts it by bow(x, y) along its normal. S is symmetric with area kept. The offsets are smooth: the paper's
-drive moves it unevenly, with the drive rollers' circumferences as periods; the lens in front of a laser's mirror, or the
-carriage's belt, stretches lines in their middle against their ends; glue pulls.
+and the plate displaces it by bow(x, y) along its normal. S is symmetric and preserves area. The offsets are smooth: uneven paper
+feed with the circumferences of the drive rollers as periods, nonlinearity along the scan line (f-theta error of a laser, stretch of
+a carriage belt), and strain from gluing.
 
-Both faces are prints of one page by one printer: same A but for the turn. Seen from the front, the back's shear has the
-opposite sign. The board's frame lies such that the front's corners are nearest to where they should be.
+Both faces are prints of one page by one printer and share A except for the rotation; seen from the front, the shear of the back has
+the opposite sign. The board frame is the rigid motion that brings the front corners closest to their nominal positions.
 
 References
 ----------
@@ -28,7 +28,7 @@ from rgbd_calib.simulation.realism import Realism
 from rgbd_calib.types import Board, BoardShape
 
 _ROLLERS_M = (0.35, 1.1)
-"""Shortest and longest period along the feed, in heights of the print."""
+"""Range of the periods along the feed, in heights of the print."""
 _GLUE_WAVES, _ROLLERS = 3, 2
 
 
@@ -44,26 +44,26 @@ class Waves:
     """(k,)."""
 
     def at(self, page_m: FloatArray) -> FloatArray:
-        """Offsets (..., 2), metres, at places (..., 2)."""
+        """Offsets (..., 2), metres, at points (..., 2)."""
         angle = 2 * np.pi * page_m @ self.per_m.T + self.phase_rad
         return np.asarray(np.sin(angle) @ self.amplitude_m)
 
 
 @dataclass(frozen=True)
 class Plate:
-    """What the print is glued to, lifted by ``bow cos(pi q.x) + twist sin(..) sin(..)``, metres from its middle."""
+    """The plate: displacement ``bow cos(2 pi along.x) + twist sin(..) sin(..)`` along its normal, x from its centre."""
 
     middle_m: FloatArray
     """(2,), in the board's frame."""
     bow_m: float
     along: FloatArray
-    """(2,): half a wave of the bow from edge to edge, in waves a metre."""
+    """(2,): wave vector of the bow, cycles per metre; half a cycle from edge to edge."""
     twist_m: float
     sides_m: FloatArray
     """(2,): width and height of the print."""
 
     def lift_m(self, xy_m: FloatArray) -> FloatArray:
-        """Height (...) along z at places (..., 2) of the board's frame, metres."""
+        """Displacement (...) along z at points (..., 2) of the board's frame, metres."""
         x = xy_m - self.middle_m
         twist = np.prod(np.sin(np.pi * x / (1.2 * self.sides_m)), axis=-1)
         return np.asarray(self.bow_m * np.cos(2 * np.pi * x @ self.along) + self.twist_m * twist)
@@ -71,10 +71,10 @@ class Plate:
 
 @dataclass(frozen=True)
 class Sheet:
-    """The print on one face; places on the page are those of the face's own frame, metres."""
+    """The print on one face; page coordinates are in the face's own frame, metres."""
 
     board: Board
-    """As stated."""
+    """Nominal board."""
     back: bool
     linear: FloatArray
     """(2, 2): A."""
@@ -83,10 +83,10 @@ class Sheet:
     waves: Waves
     plate: Plate
     T_board_made: FloatArray
-    """(4, 4), small: brings the whole board to where its frame is."""
+    """(4, 4), a small motion into the board's frame."""
 
     def points_m(self, page_m: FloatArray) -> FloatArray:
-        """Points (..., 3) of the board's frame, metres, where places (..., 2) of the page are."""
+        """Points (..., 3), metres, in the board's frame, of page coordinates (..., 2)."""
         middle = _middle(self.board)
         face = middle + (page_m - middle) @ self.linear.T + self.shift_m + self.waves.at(page_m)
         xy = face * [-1, 1] + [2 * middle[0], 0] if self.back else face
@@ -115,7 +115,7 @@ class Printed:
 
 
 def printed(board: Board, realism: Realism, rng: np.random.Generator) -> Printed:
-    """Print, cut and glue a board."""
+    """Draw the errors of a board."""
     aspect, shear = rng.normal(0, [realism.print_aspect, realism.print_shear_rad])
     scale = 1 + rng.normal(0, realism.print_scale)
     A = scale * np.array([[np.exp(aspect / 2), shear / 2], [shear / 2, np.exp(-aspect / 2)]])
@@ -127,7 +127,7 @@ def printed(board: Board, realism: Realism, rng: np.random.Generator) -> Printed
         shift = rng.normal(0, realism.back_shift_m, 2) * back
         waves, straight = _waves(board, realism.print_offset_m, rng)
         R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-        # the waves' own affine part goes out, so that aspect and shear are what was drawn
+        # remove the affine part of the offsets, so that aspect and shear are as drawn
         linear, moved = R @ A - straight[:2].T, shift - straight[2]
         sheets.append(Sheet(board, back, linear, moved, waves, plate, np.eye(4)))
     T_board_made = align.rigid(board.corners_m(), sheets[0].corners_m())
@@ -144,7 +144,7 @@ def _plate(board: Board, bow_m: float, rng: np.random.Generator) -> Plate:
 
 
 def _waves(board: Board, rms_m: float, rng: np.random.Generator) -> tuple[Waves, FloatArray]:
-    """Offsets of corners with this RMS of a coordinate, their affine part apart, and that part (3, 2) of x - m, y - m, 1."""
+    """Offsets with this RMS per coordinate at the corners, affine part excluded; and that part, (3, 2) for x - m, y - m, 1."""
     width, height = np.array([board.cols + 1, board.rows + 1]) * board.square_m
     feed = [(0.0, 1 / (height * rng.uniform(*_ROLLERS_M))) for _ in range(_ROLLERS)]
     lines = [(1 / (width * rng.uniform(0.8, 1.2)), 0.0)]
@@ -169,5 +169,5 @@ def _middle(board: Board) -> FloatArray:
 
 
 def _corners(board: Board) -> FloatArray:
-    """Corners (n, 2) on the page as it was drawn."""
+    """Nominal corners (n, 2) of the page."""
     return np.asarray(replace(board, shape=None).corners_m()[:, :2])

@@ -1,13 +1,14 @@
-"""How large the errors of real prints, sensors and walls are that a simulation draws.
+"""Magnitudes of the errors that a simulation draws for prints, sensors, walls and images.
 
-Each size is one standard deviation unless it says otherwise. They come from what is made and sold:
+Each value is one standard deviation unless stated otherwise. Sources:
 
-* Prints. Office printers stretch a page by 0.1 to 0.6 % along one side; a bend of 1 mm in a plate of half a metre and
-  the offset of a second sheet are what hands leave. Free targets are common because of it (Strobl and Hirzinger 2011).
-* Depth. Structured light errs in disparity, by a pattern over the image that is the device's own (Herrera, Kannala,
-  Heikkila 2012); time of flight errs along the range (Sarbolandi, Lefloch, Kolb 2015).
-* Images. Exposure is automatic, focus is somewhere, light changes.
-* Registration. A factory's idea of both cameras leaves one or two pixels and some per mille of scale.
+* Prints: office printers change the aspect ratio of a page by 0.1 to 0.6 %. A bow of 1 mm over half a metre and a back sheet
+  misaligned by a millimetre are typical of boards glued by hand; calibration with an unknown target shape is common for this
+  reason (Strobl and Hirzinger 2011).
+* Depth: structured light has a disparity error that is a fixed pattern over the image (Herrera, Kannala, Heikkila 2012); time
+  of flight has an error periodic in range (Sarbolandi, Lefloch, Kolb 2015).
+* Registration: factory calibrations leave one or two pixels of shift and some per mille of scale.
+* Images: auto exposure, fixed focus, changing light.
 
 References
 ----------
@@ -29,67 +30,67 @@ Part = Literal["print", "depth_field", "registration", "walls", "images", "multi
 
 @dataclass(frozen=True)
 class Realism:
-    """Sizes of the errors; zeros: none."""
+    """Magnitudes of the errors; zero disables one."""
 
     print_aspect: float = 0.003
-    """Width over height of a printed square, less one; its area is kept."""
+    """Aspect ratio of a printed square, minus one; the area is preserved."""
     print_shear_rad: float = float(np.radians(0.15))
-    """Of the angle between the columns and the rows."""
+    """Deviation from 90 degrees of the angle between columns and rows."""
     print_offset_m: float = 0.05e-3
-    """RMS of each coordinate of the corners' own offsets, which are smooth over the sheet; not a deviation."""
+    """RMS of each coordinate of the corner offsets, which are smooth over the sheet (fixed, not a standard deviation)."""
     print_scale: float = 0.0
-    """Of the length of a square's side, relative: what people's rulers are off by."""
+    """Relative error of the stated square size."""
     plate_bow_m: float = 1.0e-3
-    """From the middle of the plate to its edges."""
+    """Sagitta of the plate, centre to edge."""
     back_shift_m: float = 1.0e-3
-    """The back's sheet beside the front's, along each side."""
+    """Misalignment of the back sheet, along each side."""
     back_turn_rad: float = float(np.radians(0.3))
 
     field_m: float = 0.009
-    """RMS over the image and 0.8 to 3 m of what a camera's depth errs by besides its bias; cameras differ by a quarter. Time
-    of flight has 0.6 of it."""
+    """RMS of the depth error over the image and 0.8 to 3 m, bias excluded; 20 % variation between cameras, 0.6 times as much for
+    time of flight."""
     stray_light: float = 0.02
-    """Time of flight: share of the light that comes over other ways (multipath, and in the lens); not a deviation."""
+    """Time of flight: share of stray light and multipath (fixed, not a standard deviation)."""
     drift_m: float = 0.005
-    """Time of flight: what ranges are off by when the device is cold."""
+    """Time of flight: range error of the cold device."""
 
     registration_px: float = 1.5
-    """How far the depth image lies beside its colour image, 1/3 more or less; not a deviation."""
+    """Shift of the depth image against its colour image, uniform between 2/3 and 4/3 of this."""
     registration_scale: float = 0.004
-    """Its magnification, less one."""
+    """Relative scale error of the depth image."""
     registration_move_m: float = 0.7e-3
-    """What is wrong with the factory's baseline, each way: a shift that falls with the range."""
+    """Baseline error along each axis: a shift inversely proportional to the range."""
     registration_turn_rad: float = float(np.radians(0.05))
-    """About each axis."""
+    """Rotation error about each axis."""
     factory_focal: float = 0.003
-    """Depth that is not registered: of its focal lengths as the factory states them, relative."""
+    """Unregistered depth: relative error of the stated focal lengths."""
     factory_centre_px: float = 1.5
     factory_move_m: float = 1.5e-3
-    """Of its place beside the colour camera, each way."""
+    """Unregistered depth: error of the stated translation, along each axis."""
     factory_turn_rad: float = float(np.radians(0.2))
 
     wall_tilt_rad: float = float(np.radians(2.0))
-    """Most that a wall of a bias recording is out of square; not a deviation."""
+    """Largest tilt of a wall of the bias recording (a maximum, not a standard deviation)."""
     tape_m: float = 0.002
-    """Of a wall's distance as written down."""
+    """Error of each written wall distance."""
     tape_common_m: float = 0.0015
-    """The same for all walls of a recording: one tape, one zero."""
+    """Error common to all walls of a session: same tape, same zero."""
 
     light_change: float = 0.25
-    """Of the light in the room from instant to instant, relative."""
+    """Relative change of the illumination from frame to frame."""
     light_slope: float = 0.12
-    """How uneven it is, over some metres."""
+    """Relative non-uniformity of the illumination over some metres."""
     exposure_error: float = 0.10
-    """Of auto exposure, relative."""
+    """Relative error of auto exposure."""
     defocus_px_m: float = 1.1
-    """Diameter of the disc that a point is blurred to, for each 1/m that it is from focus; not a deviation."""
+    """Diameter of the blur disc per dioptre of defocus, px m (fixed, not a standard deviation)."""
 
     def has(self, part: Part) -> bool:
-        """Is any size of this part more than zero?"""
+        """Whether any magnitude of this part is non-zero."""
         return any(getattr(self, name) for name in _SIZES[part])
 
     def without(self, *parts: Part) -> Realism:
-        """The same with these parts exact."""
+        """A copy without the errors of these parts."""
         sizes = [name for part in parts for name in _SIZES[part]]
         return replace(self, **dict.fromkeys(sizes, 0.0))
 
@@ -109,4 +110,4 @@ _SIZES: dict[Part, tuple[str, ...]] = {
 }  # fmt: skip
 
 IDEAL = Realism().without(*_SIZES)
-"""Nothing wrong but lenses, bias and noise."""
+"""Lens distortion, depth bias and noise only."""

@@ -12,7 +12,7 @@ from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation.depth_field import SensorField, stereo, structured_light
-from rgbd_calib.simulation.lenses import LensKind, as_the_factory_has_it, color_lens, depth_camera
+from rgbd_calib.simulation.lenses import LensKind, color_lens, depth_camera, factory_calibration
 from rgbd_calib.simulation.realism import Realism
 from rgbd_calib.simulation.time_of_flight import nodes_px, time_of_flight_field
 from rgbd_calib.types import DepthBias, DepthCamera, RigCamera
@@ -25,9 +25,9 @@ _CENTRE_M = np.array([-0.1, 0.05, 0.0])
 _TARGET_HEIGHT_M = 1.05
 _MAX_STEP_RAD, _MAX_ARC_RAD = np.radians(34.0), np.radians(115.0)
 _TIME_OF_FLIGHT = 0.6
-"""Size of its field beside that of structured light."""
+"""Magnitude of its field relative to structured light."""
 _WARMS_UP = 0.3
-"""Share of a session, ten minutes of thirty, in which a device comes nearer to its warm state by a factor e."""
+"""Time constant of the temperature drift as a share of the session: ten minutes of thirty."""
 _FOCUS_M = (1.2, 2.4)
 BIAS_RANGE_M = (0.5, 5.0)
 
@@ -40,15 +40,15 @@ class TrueRig:
     T_room_color: dict[str, FloatArray]
     depth_bias: dict[str, DepthBias]
     depth_field: dict[str, SensorField] = field(default_factory=dict)
-    """Of cameras whose depth errs over the image."""
+    """Depth error over the image; cameras without one are absent."""
     depth_camera: dict[str, DepthCamera] = field(default_factory=dict)
-    """Of cameras whose depth image is not their colour image's."""
+    """Geometry of depth images that differs from the colour images'."""
     stated_depth: dict[str, DepthCamera] = field(default_factory=dict)
-    """Of cameras whose depth is not registered, what the factory says of it."""
+    """Factory calibration of unregistered depth cameras."""
     cold_m: dict[str, float] = field(default_factory=dict)
-    """What depth is too long by when the session begins."""
+    """Range error at the start of the session."""
     focus_m: dict[str, float] = field(default_factory=dict)
-    """Where lenses are sharp, of cameras that have a focus."""
+    """Focus distance; absent: sharp everywhere."""
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -66,12 +66,12 @@ class TrueRig:
         return {first: np.eye(4)} | {c: self.T_world_room @ self.T_room_color[c] for c in others}
 
     def drift_m(self, camera: str, warm: float) -> float:
-        """What its depth is too long by when a share `warm` of the session is over; its bias is that of the warm device."""
+        """Temperature drift of ranges after a share `warm` of the session; the bias is that of the warm device."""
         return self.cold_m.get(camera, 0.0) * float(np.exp(-warm / _WARMS_UP))
 
     @property
     def rig_cameras(self) -> dict[str, RigCamera]:
-        """What a rig file would have of them."""
+        """The cameras in the form of a rig file."""
         return {
             c: RigCamera(
                 self.intrinsics[c],
@@ -139,7 +139,7 @@ def no_depth_bias() -> DepthBias:
 
 
 def with_lenses(rig: TrueRig, kinds: Sequence[LensKind], rng: np.random.Generator) -> TrueRig:
-    """The rig with colour lenses of these kinds, in turn."""
+    """The rig with colour lenses of these models, in turn."""
     lenses = {c: color_lens(kinds[i % len(kinds)], lens, rng) for i, (c, lens) in enumerate(rig.intrinsics.items())}
     return replace(rig, intrinsics=lenses)
 
@@ -147,16 +147,16 @@ def with_lenses(rig: TrueRig, kinds: Sequence[LensKind], rng: np.random.Generato
 def with_errors(
     rig: TrueRig, sensor: Sensor, depth_size: tuple[int, int] | None, realism: Realism, rng: np.random.Generator
 ) -> TrueRig:
-    """The rig with depth that errs over the image and lies beside its colour, and lenses that are sharp somewhere.
+    """The rig with depth fields, registration errors, drift and focus.
 
-    With a `depth_size` depth is not registered to colour: it has a camera of its own.
+    With a `depth_size`, depth is not registered to colour but has a camera of its own.
     """
     fields, cameras, stated, cold_m, focus_m = {}, {}, {}, {}, {}
     for name, lens in rig.intrinsics.items():
         of_field, of_registration, of_drift, of_focus = rng.spawn(4)
         if depth_size is not None:
             cameras[name] = depth_camera(depth_size, of_registration)
-            stated[name] = as_the_factory_has_it(cameras[name], realism, of_registration)
+            stated[name] = factory_calibration(cameras[name], realism, of_registration)
         elif realism.has("registration"):
             cameras[name] = misregistered(lens, realism, of_registration)
         if realism.has("depth_field"):
@@ -177,7 +177,7 @@ def _field(sensor: Sensor, lens: Intrinsics, realism: Realism, rng: np.random.Ge
 
 
 def misregistered(lens: Intrinsics, realism: Realism, rng: np.random.Generator) -> DepthCamera:
-    """Depth that a factory's calibration has warped to a colour image of this lens, with what is wrong with it."""
+    """Registered depth for a colour image with this lens, with the registration error of a factory calibration."""
     way, far_px = rng.uniform(0, 2 * np.pi), realism.registration_px * rng.uniform(2 / 3, 4 / 3) * lens.width / 640
     scale = 1 + rng.normal(0, realism.registration_scale)
     seen = replace(

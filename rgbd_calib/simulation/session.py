@@ -32,12 +32,12 @@ WALLS_M = (0.6, 0.9, 1.2, 1.5, 1.8, 2.2, 2.6, 3.0, 3.5, 4.0)
 WALL_K_PER_M = 0.3e-3
 """Noise of a wall's distance, k z^2: the mean over a patch of a sensor with 1.6e-3, its window correlated."""
 VIEW_SPREAD = 0.3
-"""Of the corners' noise from view to view, where focus, exposure and light differ."""
+"""Relative variation of the corner noise between views, due to focus, exposure and light."""
 WALL_SHARE = 0.6
-"""Width and height of the part of the image that its single distance rests on."""
+"""Share of the image, in width and height, from which the single distance is estimated."""
 CELL_PX = 16
 CELL_K_PER_M = 0.8e-3
-"""Noise of a cell's mean, k z^2: a sensor with 1.6e-3 whose noise is alike over 9 x 7 px has four values in one."""
+"""Noise of a cell mean, k z^2: a sensor with 1.6e-3 and noise correlated over 9 x 7 px has four independent values per cell."""
 _SHARED_M, _CLOSE_M = (1.3, 2.9), (0.6, 1.4)
 _TILT_RAD = 0.6
 
@@ -48,7 +48,7 @@ class Scene:
 
     rig: Rig
     board: Board
-    """Its shape as printed."""
+    """With its true shape."""
     boards: dict[str, FloatArray]
     """T_world_board (4, 4) by frame, in order of time."""
     close: dict[str, dict[str, FloatArray]]
@@ -71,8 +71,8 @@ class Session:
     walls: dict[str, FloatArray] | None
     """(n, 3) by camera: depth as measured, distance as written down, standard error, metres. None: no bias recording."""
     wall_cells: dict[str, FloatArray] | None = None
-    """(n, cells, 3) by camera: of each wall u and v, px, and the depth measured, the mean over a cell of the image. None:
-    no bias recording, or an ideal one."""
+    """(n, cells, 3) by camera: u and v, px, and mean measured depth of each image cell of each wall. None: no bias recording, or
+    an ideal one."""
     lenses: dict[str, Intrinsics] = field(default_factory=dict)
     """A file of intrinsics in place of the intrinsic recording; empty: there is none."""
     late_stamps_us: float = 0.0
@@ -92,7 +92,7 @@ def draw_scene(
 ) -> Scene:
     """Draw a rig as `simulate` does, and boards anywhere in the images of two cameras at least.
 
-    `realism` None: nothing is wrong but lenses, bias and noise. The rig and the boards' poses are the same with any.
+    `realism` None: lens distortion, depth bias and noise only. Lenses and poses do not depend on it.
     """
     sizes = realism or IDEAL
     of_print, of_sensors, of_lenses = rng.spawn(3)
@@ -119,7 +119,7 @@ def draw_scene(
 
 
 def reprinted(scene: Scene, board: Board, rng: np.random.Generator) -> Scene:
-    """The same scene with a board, as stated, that has just been printed and glued."""
+    """The scene with another nominal board and newly drawn print errors."""
     if not scene.realism.has("print"):
         return replace(scene, board=board)
     made = printed(board, scene.realism, rng)
@@ -176,7 +176,7 @@ def film_close(scene: Scene, rng: np.random.Generator) -> tuple[BoardView, ...]:
 
 @dataclass(frozen=True)
 class FilmedWalls:
-    """A camera's bias recording."""
+    """The bias recording of one camera."""
 
     rows: FloatArray
     """(n, 3), as :attr:`Session.walls`."""
@@ -187,7 +187,7 @@ class FilmedWalls:
 def film_walls(
     camera: RigCamera, rng: np.random.Generator, realism: Realism = IDEAL, common_m: float = 0.0
 ) -> FilmedWalls:
-    """Walls of a bias recording; `common_m` is what all distances are too long by as written."""
+    """Walls of a bias recording; `common_m` is the error common to all written distances."""
     z = np.array(WALLS_M)
     sigma = WALL_K_PER_M * z**2
     if not (realism.has("depth_field") or realism.has("registration") or realism.has("walls")):
@@ -200,7 +200,7 @@ def film_walls(
 
 
 def _wall_cells(camera: RigCamera, wall: Wall, rng: np.random.Generator) -> FloatArray:
-    """(cells, 3): u, v and depth of cells of the depth image that shows this wall."""
+    """(cells, 3): u, v and measured depth of the cells of a depth image of this wall."""
     sensor = camera.depth_sensor
     seen, lens = wall.moved(se3.inverse(sensor.camera.T_color_depth)), sensor.camera.intrinsics
     u, v = (np.arange(CELL_PX / 2 - 0.5, side, CELL_PX) for side in (lens.width, lens.height))
@@ -210,7 +210,7 @@ def _wall_cells(camera: RigCamera, wall: Wall, rng: np.random.Generator) -> Floa
 
 
 def _at_centre(cells: FloatArray, lens: Intrinsics) -> float:
-    """Depth at the principal point of the plane through the cells of the image's middle, where 1 / z is affine."""
+    """Depth at the principal point by a plane (affine 1 / z) through the central cells."""
     u, v, z_m = cells.T
     middle = (np.abs(2 * u / lens.width - 1) < WALL_SHARE) & (np.abs(2 * v / lens.height - 1) < WALL_SHARE)
     A = np.column_stack([u - lens.cx, v - lens.cy, np.ones_like(u)])[middle]

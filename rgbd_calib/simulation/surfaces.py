@@ -1,4 +1,4 @@
-"""Which surface a pixel sees, where on it, and of what colour it is."""
+"""The surface that each pixel sees: which, where on it, and its colour."""
 
 from __future__ import annotations
 
@@ -81,8 +81,8 @@ def board_albedo(
     bent: Mapping[int, BentFace],
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Linear colour (m, 3) of some of the pixels that see the board, by their numbers (m,) in `seen`: the mean over the pixel
-    where an edge of the print crosses it."""
+    """Linear colour (m, 3) of the pixels `which` (m,), indices into `seen`: averaged over the pixel where an edge of the print
+    crosses it."""
     patch = np.full(view.shape[0] * view.shape[1], -1)
     patch[seen.pixels] = patches(scene, seen.quads, seen.s_m, seen.t_m)
     crossed = edge_pixels(patch.reshape(view.shape))

@@ -1,4 +1,4 @@
-"""truth.yaml: a rig file with what a simulation knows, in `quality` what a rig file has no place for."""
+"""truth.yaml: the ground truth of a simulation as a rig file; what has no key there is in `quality`."""
 
 from __future__ import annotations
 
@@ -24,8 +24,11 @@ def write_truth(
     T_room_board: Mapping[str, FloatArray],
     provenance: Mapping[str, Any],
 ) -> None:
-    """Write the rig, T_world_board (4, 4) by frame, and in `quality` the board's shape, and by camera and frame the walls and
-    what depth is too long by, in metres, while the device warms up; `warm` is how far the session is in each frame."""
+    """Write the rig, T_world_board (4, 4) by frame, and in `quality` the board shape, walls and depth drift (metres along the
+    ray) by camera and frame.
+
+    `warm` is the elapsed share of the session by frame.
+    """
     quality: dict[str, Any] = {}
     if board is not None:
         quality["board"] = board_truth(board)

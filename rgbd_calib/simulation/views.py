@@ -14,7 +14,7 @@ from rgbd_calib.simulation.poses import looks_at_back
 from rgbd_calib.types import Board, BoardView, DepthSensor, Rig, RigCamera
 
 _ROUNDS = 6
-"""Fixed-point rounds: each leaves 3 % of the depth's error, of at most 30 mm."""
+"""Fixed-point iterations; each reduces the error, at most 30 mm, to 3 %."""
 _MIN_COS = 0.25
 """A board seen at more than 75 degrees from its normal is not found."""
 
@@ -30,7 +30,7 @@ class ViewNoise:
     """An offset and two tilts of the whole board's depth, each k z^2 at the board's edge: three times what the corners'
     own noise makes of them on a board of 54."""
     spread: float = 0.0
-    """Of sigma_2d_px from view to view, relative: focus and light."""
+    """Relative variation of sigma_2d_px between views."""
 
 
 def true_views(
@@ -65,9 +65,9 @@ def true_views(
 
 
 def _reported(own: RigCamera, pixels_px: FloatArray, p_color: FloatArray, normal: FloatArray) -> FloatArray:
-    """What the depth image says (n,) at the pixels (n, 2) where corners (n, 3) of a board with this normal (3,) are seen.
+    """Reported depth (n,) at the pixels (n, 2) of corners (n, 3) of a board with this normal (3,).
 
-    A depth image beside its colour image shows another place there: where the depth camera's ray meets the board's plane.
+    A misregistered depth image shows another point there: the intersection of the depth camera's ray with the board's plane.
     """
     sensor = own.depth_sensor
     if own.depth_camera is None and own.depth_field is None:
@@ -81,7 +81,7 @@ def _reported(own: RigCamera, pixels_px: FloatArray, p_color: FloatArray, normal
 
 
 def sensor_reports(sensor: DepthSensor, pixels_px: FloatArray, z_true_m: FloatArray) -> FloatArray:
-    """Reported depths (n,), metres, at pixels (n, 2) of the depth image that see something at depths z_true_m (n,)."""
+    """Reported depths (n,), metres, at pixels (n, 2) of the depth image, for true depths (n,)."""
     z_m = np.array(z_true_m, float)
     for _ in range(_ROUNDS):
         z_m = z_m - (sensor.correct(pixels_px, z_m) - z_true_m)

@@ -1,4 +1,4 @@
-"""A wall before a camera, for calibrating its depth: light paint with a taped cross where the axis meets it."""
+"""A wall in front of a camera for depth calibration: light paint with a cross of tape on the optical axis."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _TAPE_WIDTH_M, _TAPE_LENGTH_M = 0.019, 0.3
 
 @dataclass(frozen=True)
 class Wall:
-    """A plane before a camera, in its frame."""
+    """A plane in the frame of a camera."""
 
     distance_m: float
     """From the optical centre along the optical axis."""
@@ -50,16 +50,16 @@ class Wall:
 
 @dataclass(frozen=True)
 class TapedWall:
-    """A wall, and its distance as somebody measured it."""
+    """A wall and its distance as measured by tape."""
 
     wall: Wall
     distance_m: float
     sd_m: float = 0.0
-    """What is said of that; 0: nothing, and the distance is true."""
+    """Stated standard deviation; 0: none, the distance is exact."""
 
     @property
     def written(self) -> tuple[str, ...]:
-        """Its distance, and standard deviation if one is known, as people write them down."""
+        """Distance and, if stated, standard deviation, as written in distances.csv."""
         return (f"{self.distance_m:.3f}", f"{self.sd_m:g}") if self.sd_m else (f"{self.distance_m:.4f}",)
 
     @property
@@ -72,7 +72,7 @@ SQUARE = np.array([0.0, 0.0, 1.0])
 
 
 def tilted(most_rad: float, rng: np.random.Generator) -> FloatArray:
-    """A wall's normal (3,), out of square by up to so much, all directions alike."""
+    """Normal (3,) of a wall tilted by at most `most_rad`, uniformly distributed."""
     way, tilt = rng.uniform(0, 2 * np.pi), most_rad * np.sqrt(rng.random())
     return np.array([np.sin(tilt) * np.cos(way), np.sin(tilt) * np.sin(way), np.cos(tilt)])
 

@@ -21,7 +21,7 @@ B. C. Carlson, Numerical computation of real or complex elliptic integrals, Nume
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import combinations
 
 import numpy as np
@@ -29,6 +29,7 @@ from numpy.polynomial import polynomial
 from scipy.special import elliprg
 
 from rgbd_calib.geometry import camera, se3, so3
+from rgbd_calib.geometry.depth_error import PolynomialField
 from rgbd_calib.geometry.linear import IntArray
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import Rig
@@ -41,16 +42,22 @@ _MEAN_LENGTH = 2 * np.sqrt(2 / np.pi)  # of a Gaussian with three unit variances
 
 @dataclass(frozen=True)
 class Observed:
-    """What the depth sensor of one camera of a rig would report of points (n, 3)."""
+    """What one camera of a rig would report of points (n, 3)."""
 
     pixels_px: FloatArray
+    """(n, 2), of the colour image."""
+    depth_pixels_px: FloatArray
     """(n, 2), of the depth image."""
     raw_m: FloatArray
     """(n,), the depth that the sensor would report without noise, its error included."""
     z_m: FloatArray
     """(n,), along the colour camera's axis."""
     seen: np.ndarray
-    """(n,) bool: inside the image, at a depth that is measured."""
+    """(n,) bool: inside both images, at a depth that is measured."""
+
+    def only(self, which: np.ndarray) -> Observed:
+        """Some of the points."""
+        return Observed(*(getattr(self, f.name)[which] for f in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -94,25 +101,30 @@ def volume(corners_m: FloatArray, side: int) -> FloatArray:
 
 
 def observe(rig: Rig, name: str, points_m: FloatArray) -> Observed:
-    """What a camera's depth sensor reports of points (n, 3), metres, in the world."""
+    """What a camera reports of points (n, 3), metres, in the world."""
     own = rig.cameras[name]
     sensor = own.depth_sensor
     p = se3.transform(se3.inverse(own.T_world_color), points_m)
-    lens, T_color_depth = sensor.camera.intrinsics, sensor.camera.T_color_depth
-    p_depth = se3.transform(se3.inverse(T_color_depth), p)
-    with np.errstate(all="ignore"):
-        pixels, raw = sensor.report(p)
-        back = lens.unproject(pixels, p_depth[:, 2])
-    inside = np.all((pixels >= 0) & (pixels <= lens.size_px - 1), axis=1)
+    p_depth = se3.transform(se3.inverse(sensor.camera.T_color_depth), p)
     z = p_depth[:, 2]
-    seen = inside & (z > NEAREST_M) & (z < FARTHEST_M) & (np.linalg.norm(back - p_depth, axis=1) < 1e-6)
-    return Observed(pixels, raw, p[:, 2], seen)
+    seen = (z > NEAREST_M) & (z < FARTHEST_M)
+    with np.errstate(all="ignore"):
+        pixels = own.intrinsics.project(p)
+        depth_pixels, raw = sensor.report(p)
+        for lens, at, point in (
+            (own.intrinsics, pixels, p),
+            (sensor.camera.intrinsics, depth_pixels, p_depth),
+        ):
+            seen &= np.all((at >= 0) & (at <= lens.size_px - 1), axis=1)
+            seen &= np.linalg.norm(lens.unproject(at, point[:, 2]) - point, axis=1) < 1e-6
+    return Observed(pixels, depth_pixels, raw, p[:, 2], seen)
 
 
-def place(rig: Rig, name: str, pixels_px: FloatArray, raw_m: FloatArray) -> FloatArray:
-    """Where a camera puts pixels (n, 2) of its depth image with reported depths (n,): points (n, 3), metres, in the world."""
+def place(rig: Rig, name: str, seen: Observed) -> FloatArray:
+    """Where a camera puts points (n, 3), metres, in the world: each by its pixel of the colour image, and by its depth."""
     own = rig.cameras[name]
-    return se3.transform(own.T_world_color, own.depth_sensor.points(pixels_px, raw_m))
+    z_m = own.depth_sensor.points(seen.depth_pixels_px, seen.raw_m)[:, 2]
+    return se3.transform(own.T_world_color, own.intrinsics.unproject(seen.pixels_px, z_m))
 
 
 def expected_alignment(
@@ -129,7 +141,7 @@ def expected_alignment(
     often = np.sum([o.seen for o in observed.values()], axis=0) > 1 if len(names) > 1 else np.zeros(len(points_m), bool)
     if not often.any():
         return None
-    kept = {name: _keep(o, often) for name, o in observed.items()}
+    kept = {name: o.only(often) for name, o in observed.items()}
     derivatives = {name: place_derivatives(rig, name, o) for name, o in kept.items()}
     parts = {name: _parts(joint.parameters[name], derivatives[name]) for name in names}
     pairs = {}
@@ -154,7 +166,7 @@ def place_derivatives(rig: Rig, name: str, observed: Observed) -> dict[str, Floa
     """Derivatives (n, 3, k) of :func:`place` by each block of the camera's parameters, pixel and reported depth held.
 
     By the pose: Exp(xi) P - P = phi x P + rho. By the intrinsics: the point slides in its plane of depth z such that
-    its pixel stays, d(x, y) = -(dpsi/d(x, y))^-1 dpsi/dK. By the bias: along the ray.
+    its pixel stays, d(x, y) = -(dpsi/d(x, y))^-1 dpsi/dK. By the depth's bias and field: along the ray.
     """
     own = rig.cameras[name]
     T = own.T_world_color
@@ -168,10 +180,13 @@ def place_derivatives(rig: Rig, name: str, observed: Observed) -> dict[str, Floa
     slide = np.zeros((len(p), 3, by_lens.shape[-1]))
     slide[:, :2] = -np.linalg.solve(by_point[..., :2], by_lens)
     out["intrinsics"] = T[:3, :3] @ slide
+    ray = (p / p[:, 2:]) @ T[:3, :3].T  # in the world: z moves the point along it
     if (bias := own.depth_bias) is not None:
         powers = polynomial.polyvander(np.clip(observed.raw_m, bias.min_m, bias.max_m), len(bias.coefficients) - 1)
-        ray = p / p[:, 2:]
-        out["depth bias"] = (ray @ T[:3, :3].T)[..., None] * powers[:, None]
+        out["depth bias"] = ray[..., None] * powers[:, None]
+    if isinstance(own.depth_field, PolynomialField):
+        shapes = own.depth_field.basis(observed.depth_pixels_px, observed.raw_m)
+        out["depth field"] = ray[..., None] * shapes[:, None]
     return out
 
 
@@ -180,7 +195,3 @@ def _mean_length(S: FloatArray) -> FloatArray:
     eigenvalues = np.maximum(np.linalg.eigvalsh((S + S.transpose(0, 2, 1)) / 2), 0)
     length: FloatArray = _MEAN_LENGTH * elliprg(*eigenvalues.T)
     return length
-
-
-def _keep(o: Observed, which: np.ndarray) -> Observed:
-    return Observed(o.pixels_px[which], o.raw_m[which], o.z_m[which], o.seen[which])

@@ -7,11 +7,12 @@ unknown is to move its line.
 from __future__ import annotations
 
 from rgbd_calib.rig.blocks.block import Block, BlockPrior, Component, Fault, Kind, PointBlock, Scope, Told
+from rgbd_calib.rig.blocks.board_back import BackSheet
 from rgbd_calib.rig.blocks.board_bow import BoardBow
+from rgbd_calib.rig.blocks.board_corners import CornerOffsets
 from rgbd_calib.rig.blocks.board_print import BoardPrint
 from rgbd_calib.rig.blocks.board_scale import BoardScale
 from rgbd_calib.rig.blocks.board_shape import BoardShapeBlock
-from rgbd_calib.rig.blocks.board_thickness import BoardThickness
 from rgbd_calib.rig.blocks.board_warp import BoardWarp
 from rgbd_calib.rig.blocks.camera_poses import CameraPoses
 from rgbd_calib.rig.blocks.depth_bias import DepthBiasBlock
@@ -21,18 +22,26 @@ from rgbd_calib.rig.blocks.depth_range import DepthRange
 from rgbd_calib.rig.blocks.intrinsics import IntrinsicsBlock
 from rgbd_calib.rig.blocks.pixel_field import PixelField
 from rgbd_calib.rig.blocks.registration import Registration
-from rgbd_calib.rig.blocks.units import Boards
+from rgbd_calib.rig.blocks.tape import Tape
+from rgbd_calib.rig.blocks.units import Boards, WallPlanes
 
-ESTIMATED: tuple[type[Block], ...] = (CameraPoses, IntrinsicsBlock, DepthBiasBlock, BoardBow)
+ESTIMATED: tuple[type[Block], ...] = (
+    CameraPoses,
+    IntrinsicsBlock,
+    DepthBiasBlock,
+    DepthField,
+    Registration,
+    Tape,
+    BoardBow,
+    BoardPrint,
+    BackSheet,
+    CornerOffsets,
+)
 """What the bundle solves for."""
 
 HELD: tuple[type[Block], ...] = (
     BoardScale,
-    BoardPrint,
-    BoardThickness,
     BoardWarp,
-    Registration,
-    DepthField,
     DepthRange,
     PixelField,
 )
@@ -51,6 +60,8 @@ __all__ = [
     "Fault",
     "Kind",
     "PointBlock",
+    "Registration",
     "Scope",
     "Told",
+    "WallPlanes",
 ]

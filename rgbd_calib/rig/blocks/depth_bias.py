@@ -43,16 +43,16 @@ class DepthBiasBlock(DepthErrorBlock):
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        given = [len(p.bias.coefficients) for p in self.setup.priors if p.bias is not None]
-        return tuple(f"depth bias c{k}" for k in range(max([N_WEAK_BIAS, *given])))
+        return tuple(f"depth bias c{k}" for k in range(max(self.n_own(c) for c in range(self.sets))))
 
     @cached_property
     def range_m(self) -> FloatArray:
         """(C, 2): where each bias is a polynomial; the prior's range, else the range of the data."""
-        obs, ranges = self.setup.obs, []
+        obs, walls, ranges = self.setup.obs, self.setup.walls, []
         for i, prior in enumerate(self.setup.priors):
             z = obs.depth_m[(obs.camera == i)[:, None] & obs.has_depth]
-            if prior.bias is not None:
+            z = np.concatenate([z, walls.depth_m[(walls.camera == i)[:, None] & walls.seen]])
+            if prior.bias is not None and not prior.bias_is_start:
                 ranges.append((prior.bias.min_m, prior.bias.max_m))
             else:
                 ranges.append((float(z.min()), float(z.max())) if len(z) else (0.0, 1.0))
@@ -66,21 +66,29 @@ class DepthBiasBlock(DepthErrorBlock):
         return out
 
     def prior(self) -> BlockPrior:
-        obs, n = self.setup.obs, self.n
-        information, free = np.zeros((self.size,) * 2), np.zeros((self.sets, n), bool)
+        obs, walls, n = self.setup.obs, self.setup.walls, self.n
+        mean, information = np.zeros((self.sets, n)), np.zeros((self.size,) * 2)
+        free = np.zeros((self.sets, n), bool)
         assumed = np.zeros((self.sets, n), bool)
         for i, prior in enumerate(self.setup.priors):
             n_own = self.n_own(i)
-            free[i, :n_own] = bool(np.any(obs.has_depth[obs.camera == i])) and prior.held == "nothing"
-            assumed[i, :n_own] = prior.bias is None or prior.bias.covariance is None
+            seen = bool(np.any(obs.has_depth[obs.camera == i]) or np.any(walls.camera == i))
+            free[i, :n_own] = seen and prior.held == "nothing"
+            known = None if prior.bias_is_start else prior.bias
+            assumed[i, :n_own] = known is None or known.covariance is None
+            if known is not None:
+                mean[i, :n_own] = known.coefficients
             at = slice(i * n, i * n + n_own)
-            information[at, at] = _information(prior.bias, n_own, self.setup.params)
-        return BlockPrior(self.start().ravel(), information, free.ravel(), assumed.ravel())
+            information[at, at] = _information(known, n_own, self.setup.params)
+        return BlockPrior(mean.ravel(), information, free.ravel(), assumed.ravel())
 
     def n_own(self, camera: int) -> int:
         """Coefficients of one camera."""
-        bias = self.setup.priors[camera].bias
-        return len(bias.coefficients) if bias is not None else N_WEAK_BIAS
+        prior = self.setup.priors[camera]
+        if prior.bias is None:
+            return N_WEAK_BIAS
+        given = len(prior.bias.coefficients)
+        return max(given, N_WEAK_BIAS) if prior.bias_is_start else given
 
     def basis(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> FloatArray:
         return np.asarray(polynomial.polyvander(np.clip(depth_m, *self.range_m[camera]), self.n - 1), float)
@@ -96,5 +104,6 @@ class DepthBiasBlock(DepthErrorBlock):
 def _information(bias: DepthBias | None, n: int, params: BundleParams) -> FloatArray:
     if bias is not None and bias.covariance is not None:
         return symmetric_inverse(bias.covariance)
-    sd = [params.bias_offset_sd_m, params.bias_scale_sd] + [params.bias_curvature_sd_per_m] * max(n - 2, 0)
+    sd = [params.bias_offset_sd_m, params.bias_scale_sd]
+    sd += [params.bias_curvature_sd_per_m / 5.0**k for k in range(max(n - 2, 0))]
     return np.diag(1 / np.square(sd[:n]))

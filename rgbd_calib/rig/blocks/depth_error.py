@@ -26,7 +26,7 @@ class DepthErrorBlock(Block):
         """(..., n), its derivative by the reported depth."""
 
     def derivative(self, look: Look) -> FloatArray:
-        assert look.slope is not None and look.left_m is not None  # rows of depth have them
+        assert look.slope is not None  # rows of depth have it
         at = look.camera, look.pixels_px, look.depth_m
-        by_noise = look.left_m[..., None] * self.basis_slope(*at)
+        by_noise = look.left * self.basis_slope(*at)
         return np.asarray(-((self.basis(*at) + by_noise) / look.slope[..., None])[..., None, :])

@@ -1,4 +1,4 @@
-"""The small unknowns that few rows depend on: the board's pose of each frame, or, where it is freed, its corners.
+"""The small unknowns that few rows depend on: the board's pose of each frame, or, where it is freed, its corners; each wall's plane.
 
 A frame that only one camera sees is posed in that camera, so that it does not tie its intrinsics to its pose. The structure
 of frames that several cameras see may be freed: then each corner is a point of its own (the paper's eq. 4.5), in place of the
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.geometry.linear import BoolArray
+from rgbd_calib.geometry.linear import BoolArray, IntArray
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.sight import Look
 
@@ -46,10 +46,31 @@ class Boards:
 
     def derivative(self, look: Look) -> FloatArray:
         """Of the predicted rows by the frame's unknowns, (n, N, r, D)."""
+        assert look.by_point is not None
         freed, obs = look.sight.freed, look.sight.obs
-        out = np.zeros((*look.predicted.shape, self.size))
+        out = np.zeros((*look.left.shape, self.size))
         out[..., :6] = np.where(freed[:, None, None, None], 0.0, look.by_motion)
         view, n = np.nonzero(freed[:, None] & obs.has_pixel)
         own = 3 * obs.corner[view, n, None] + np.arange(3)
         out[view[:, None], n[:, None], :, own] = look.by_point[view, n].transpose(0, 2, 1)
         return out
+
+
+@dataclass(frozen=True)
+class WallPlanes:
+    """Where the walls of the bias recording stand; W walls."""
+
+    values: FloatArray
+    """(W, 3): what the written distance is off by, metres, and the tilts a, b of the plane z = D / (1 - a x - b y)."""
+
+    def moved(self, step: FloatArray) -> WallPlanes:
+        """After a step (W, D), of which the first three are the wall's."""
+        return WallPlanes(self.values + step[:, :3])
+
+    def ahead(self, walls: IntArray, distance_m: FloatArray, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Depth (n, N), metres, at rays (n, N, 2), and its derivative (n, N, 3) by the wall's unknowns."""
+        distance = distance_m + self.values[walls, 0]
+        by_distance = 1 / (1 - np.einsum("nik,nk->ni", rays, self.values[walls, 1:]))
+        z = distance[:, None] * by_distance
+        tilts = z[..., None] * by_distance[..., None] * rays
+        return z, np.concatenate([by_distance[..., None], tilts], axis=-1)

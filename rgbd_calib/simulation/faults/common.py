@@ -50,9 +50,9 @@ def with_lens(rig: Rig, camera: str, lens: Intrinsics) -> Rig:
 
 
 def with_pixels(rig: Rig, camera: str, scale: float, offset_px: FloatArray, roll: bool = False) -> Rig:
-    """The rig whose camera has images of which pixel q is now ``scale q + offset``, colour and depth alike.
+    """The rig with one camera whose colour and depth pixels q have become ``scale q + offset``.
 
-    With `scale` -1 they are upside down; `roll` turns the camera with them, so that its lens is an upright one.
+    `scale` -1 rotates the images by 180 degrees; `roll` rotates the camera as well, so that its focal lengths stay positive.
     """
     own, sign = rig.cameras[camera], np.sign(scale)
     R = np.diag([sign, sign, 1.0, 1.0]) if roll else np.eye(4)
@@ -80,7 +80,7 @@ def with_pixels(rig: Rig, camera: str, scale: float, offset_px: FloatArray, roll
 
 
 def swapped_walls(session: Session, names: dict[str, str]) -> Session:
-    """The session with the walls of camera names[c] stored under c."""
+    """The session with the walls of camera names[c] in place of those of camera c."""
     assert session.walls is not None
     cells = session.wall_cells
     return replace(

@@ -10,7 +10,7 @@ from rgbd_calib.geometry.linear import IntArray, NormalEquations, assemble
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks import HELD, Block
 from rgbd_calib.rig.pose_rows import N_PARTS, part_of, through
-from rgbd_calib.rig.problem import KINDS, Problem, State
+from rgbd_calib.rig.problem import OF_BOARDS, Problem, State
 from rgbd_calib.rig.solution import Solution
 from rgbd_calib.rig.weights import DEPTH_PARTS, PIXEL_PARTS
 from rgbd_calib.trust.self_check.equations import ALONE, Equations, ViewRows
@@ -43,7 +43,7 @@ def equations_of(solution: Solution, held: Sequence[Block], frames: Sequence[str
     metres = _metres(problem, state)
     gradient = problem.prior.information @ (problem.vector(state) - problem.prior.mean)
     whole = len(views) == int(problem.obs.has_pixel.any(axis=1).sum())
-    base = problem.data_equations(state, None if whole else views).regular().plus(problem.prior.information, gradient)
+    base = problem.equations(state, None if whole else views)
     at = {name: k for k, name in enumerate(frames)}
     of_frame = np.array([at.get(name, ALONE) for name in solution.course.frames])
     distance = np.zeros(len(problem.obs.camera))
@@ -52,7 +52,7 @@ def equations_of(solution: Solution, held: Sequence[Block], frames: Sequence[str
         distance[some] = np.where(seen, sight.p_color[..., 2], 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
 
     def part(some: IntArray) -> NormalEquations:
-        return problem.data_equations(state, views[some])
+        return problem.data_equations(state, views[some], OF_BOARDS)
 
     def part_in_metres(some: IntArray) -> NormalEquations:
         rows = problem.rows(state, views[some], metres)
@@ -119,13 +119,13 @@ def _view_rows(
     low_globals, low_unit, low_residual = np.zeros((V, N_PARTS, P)), np.zeros((V, N_PARTS, D)), np.zeros((V, N_PARTS))
     for some, look, rows in problem.rows(state, views):
         own, n, kind = place[some], len(some), look.kind
-        A = np.zeros((*look.predicted.shape, H))
+        A = np.zeros((*look.left.shape, H))
         for block in tested:
             if kind in block.kinds:
                 A[..., columns[block.name]] = block.derivative(look)
-        in_metres = (A * metres[KINDS.index(kind)][some][..., None, None]).reshape(n, -1, H)
+        in_metres = (A * metres[OF_BOARDS.index(kind)][some][..., None, None]).reshape(n, -1, H)
         size[own] += in_metres.transpose(0, 2, 1) @ in_metres
-        A = (A * scales[KINDS.index(kind)][some][..., None, None]).reshape(n, -1, H)
+        A = (A * scales[OF_BOARDS.index(kind)][some][..., None, None]).reshape(n, -1, H)
         J, J_unit, r = rows.flat()
         gram[own] += A.transpose(0, 2, 1) @ A
         score[own] += (r[:, None] @ A)[:, 0]

@@ -1,9 +1,8 @@
 """The board in one image: its corners to a few hundredths of a pixel, and the depth under them.
 
-A checkerboard is found in three steps. :mod:`.saddles` says in a few milliseconds whether there can be a board at all;
-:mod:`.checkerboard` finds it with OpenCV, plainly first and harder where the plain search fails, and checks the
-colours of its squares; :mod:`.subpixel` fits a model to the brightness around each corner, and drops corners that do
-not lie with the others. A ChArUco board (:mod:`.charuco`) may be seen in part. :mod:`.depth` gives the depth.
+A checkerboard is found in four steps. :mod:`.saddles` finds saddle points of the brightness; :mod:`.grids` links them to
+grids; :mod:`.checkerboard` selects the grid that has the board's numbers of columns and rows, and checks the colours of
+its squares; :mod:`.subpixel` fits a model to the brightness around each corner, and drops outliers. A ChArUco board (:mod:`.charuco`) may be seen in part. :mod:`.depth` gives the depth.
 
 Order of the corners: columns and rows make a right-handed pair in the image (x right, y down), and where cols + rows
 is odd the inner square next to corner (0, 0) is black; where it is even, a half turn stays undecided here.
@@ -18,12 +17,21 @@ from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import Board, BoardView, IntArray
 from rgbd_calib.views.detect.charuco import find_charuco
-from rgbd_calib.views.detect.checkerboard import find_checkerboard, orient
+from rgbd_calib.views.detect.checkerboard import find_checkerboard, grid_sizes, orient
 from rgbd_calib.views.detect.depth import corner_depth
 from rgbd_calib.views.detect.params import DetectParams
 from rgbd_calib.views.detect.subpixel import refine
 
-__all__ = ["DetectParams", "corner_depth", "detect_view", "find_corners", "orient", "refine"]
+__all__ = [
+    "DetectParams",
+    "corner_depth",
+    "detect_view",
+    "find_corners",
+    "grid_sizes",
+    "orient",
+    "refine",
+    "with_depth",
+]
 
 
 def find_corners(
@@ -64,8 +72,13 @@ def detect_view(
 ) -> BoardView | None:
     """The board in a colour image (h, w, 3) uint8 and its depth image (h, w), metres, or None where it is not seen."""
     found = find_corners(cv2.cvtColor(color, cv2.COLOR_BGR2GRAY), board, params)
-    if found is None:
-        return None
+    return None if found is None else with_depth(camera, frame, found, depth_m, board)
+
+
+def with_depth(
+    camera: str, frame: str, found: tuple[IntArray, FloatArray], depth_m: FloatArray | None, board: Board
+) -> BoardView:
+    """Corners, as :func:`find_corners` returns them, with their depth from the image (h, w), metres."""
     ids, corners_px = found
     if depth_m is None:
         depth, pixels = np.full(len(ids), np.nan), np.zeros(len(ids), int)

@@ -1,38 +1,104 @@
-"""A whole checkerboard in an image, by OpenCV's finders; the positions are refined elsewhere."""
+"""A whole checkerboard in an image: the grid of saddle points that has its numbers of columns and rows.
+
+The image is searched at several scales, until the board is found: at half size, which finds most boards, at a quarter of the
+cost and with less noise and blur; at full size, for squares below some 12 px; at a quarter of its size, for images far out
+of focus. If full size shows part of a grid of small squares, that part is searched enlarged.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
 
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import Board, IntArray
+from rgbd_calib.views.detect.grids import Grid, find_grids
 from rgbd_calib.views.detect.params import DetectParams
-from rgbd_calib.views.detect.saddles import board_corners
+from rgbd_calib.views.detect.saddles import MOST, find_saddles
 
-LOOK_AT = 3
-"""So many times the board's corners are looked at by the quick look, the strongest first."""
-LOOKS_LIKE = 0.6
-"""Share of the board's corners that the quick look must see. All views of the simulated and real recordings that any
-finder of OpenCV finds have it; with the board painted over, 0.52 is the most (scripts/benchmark_detection.py)."""
 ALTERNATE = 0.9
 """Share of the pairs of squares side by side that must change from dark to bright in the board's order."""
+MIN_SEEN = 0.6
+"""Share of the corners that must be detected; the places of the rest are predicted, and the refinement judges them."""
+MAX_BEYOND = 0.3
+"""Share of a line beside the board that may look like corners: a grid that continues is another board, or none."""
+LEAST_PX = 16
+"""Images with a shorter side are skipped: the squares of 3 x 3 corners would be 4 px."""
+ENLARGED_PX = 14.0
+"""Grids of smaller squares are searched enlarged."""
 
 
 def find_checkerboard(gray: np.ndarray, board: Board, params: DetectParams) -> tuple[IntArray, FloatArray] | None:
     """Numbers (n,) and rough pixels (n, 2) of all corners, in the order of the package's head, or None."""
-    box = _where(gray, board)
-    if box is None:
-        return None
-    x0, y0, x1, y1 = box
-    for search in (_plain, _enlarged, _by_sectors)[: 3 if params.escalate else 1]:
-        corners = search(np.ascontiguousarray(gray[y0:y1, x0:x1]), (board.cols, board.rows))
-        if corners is None:
-            continue
-        grid = orient(gray, (corners + [x0, y0]).reshape(board.rows, board.cols, 2))
-        if alternates(gray, grid):
-            return np.arange(board.n_corners), grid.reshape(-1, 2)
+    for grids in _looks(gray, (board.cols, board.rows), params.escalate):
+        fitting = [corners for corners in (_as_board(grid, board, gray.shape) for grid in grids) if corners is not None]
+        for corners in sorted(fitting, key=_area, reverse=True):
+            ordered = orient(gray, corners)
+            if alternates(gray, ordered):
+                return np.arange(board.n_corners), ordered.reshape(-1, 2)
     return None
+
+
+def grid_sizes(gray: np.ndarray) -> list[tuple[int, int]]:
+    """Inner corners, (columns, rows) with the larger number first, of all checkerboards in a grey image (h, w) uint8, the
+    largest board first; empty where there is none. Part of a board counts as what is visible of it."""
+    best: list[Grid] = []
+    for grids in _looks(gray, None, False):
+        if grids and (not best or grids[0].n_seen > best[0].n_seen):
+            best = grids
+    return [(max(grid.shape), min(grid.shape)) for grid in best]
+
+
+def _looks(gray: np.ndarray, size: tuple[int, int] | None, enlarge: bool) -> Iterator[list[Grid]]:
+    """Grids, in px of the whole image, of one look after another, for a grid of `size` or for any."""
+    if min(gray.shape) < LEAST_PX:
+        return
+    half = _halved(gray)
+    yield _seen(half, size, 2)
+    fine = _seen(gray, size, 1)
+    yield fine
+    yield _seen(_halved(half), size, 4)
+    if enlarge and fine and fine[0].side_px < ENLARGED_PX:
+        yield _enlarged(gray, size, fine[0])
+
+
+def _halved(gray: np.ndarray) -> np.ndarray:
+    h, w = gray.shape
+    return cv2.resize(gray[: h // 2 * 2, : w // 2 * 2], (w // 2, h // 2), interpolation=cv2.INTER_AREA)
+
+
+def _seen(
+    gray: np.ndarray, size: tuple[int, int] | None, reduced: float, corner: tuple[int, int] = (0, 0)
+) -> list[Grid]:
+    """Grids of an image that shows `reduced` px of the whole one in each of its own, from `corner` on."""
+    if min(gray.shape) < LEAST_PX:
+        return []
+    most = MOST if size is None else max(MOST, 4 * size[0] * size[1])
+    grids = find_grids(find_saddles(gray, most), size)
+    return [Grid((grid.px + 0.5) * reduced - 0.5 + corner, grid.seen, grid.beyond) for grid in grids]
+
+
+def _enlarged(gray: np.ndarray, size: tuple[int, int] | None, grid: Grid) -> list[Grid]:
+    low, high = np.nanmin(grid.px, axis=(0, 1)), np.nanmax(grid.px, axis=(0, 1))
+    margin = 20 + 0.5 * (high - low)
+    x0, y0 = np.maximum(low - margin, 0).astype(int).tolist()
+    x1, y1 = np.minimum(high + margin, gray.shape[::-1]).astype(int).tolist()
+    part = cv2.resize(gray[y0:y1, x0:x1], None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+    return _seen(part, size, 0.5, (x0, y0))
+
+
+def _as_board(grid: Grid, board: Board, shape: tuple[int, ...]) -> FloatArray | None:
+    """Corners (rows, cols, 2) of a grid of the board's size that lies in an image (h, w), or None."""
+    px = grid.px if grid.shape == (board.rows, board.cols) else grid.px.transpose(1, 0, 2)
+    if px.shape[:2] != (board.rows, board.cols) or grid.n_seen < MIN_SEEN * board.n_corners or grid.beyond > MAX_BEYOND:
+        return None
+    return px if np.all((px >= 0) & (px <= np.array(shape[::-1]) - 1)) else None
+
+
+def _area(grid: FloatArray) -> float:
+    return float(cv2.contourArea(cv2.convexHull(grid.reshape(-1, 2).astype(np.float32))))
 
 
 def orient(gray: np.ndarray, grid: FloatArray) -> FloatArray:
@@ -66,35 +132,3 @@ def _shades(gray: np.ndarray, grid: FloatArray) -> FloatArray:
         gray, middles[..., 0], middles[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     ).astype(float)
     return shades
-
-
-def _where(gray: np.ndarray, board: Board) -> tuple[int, int, int, int] | None:
-    """x0, y0, x1, y1 around what looks like the board, or None; an image out of focus is looked at reduced too."""
-    for reduced in (1, 2):
-        small = gray if reduced == 1 else cv2.resize(gray, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        seen = reduced * board_corners(small, LOOK_AT * board.n_corners)
-        if len(seen) >= LOOKS_LIKE * board.n_corners:
-            low, high = seen.min(axis=0), seen.max(axis=0)
-            margin = 20 + 0.35 * (high - low)  # the outer squares and the paper around them
-            (x0, y0), (x1, y1) = (
-                np.maximum(low - margin, 0).astype(int),
-                np.minimum(high + margin, gray.shape[::-1]).astype(int),
-            )
-            return int(x0), int(y0), int(x1), int(y1)
-    return None
-
-
-def _plain(gray: np.ndarray, size: tuple[int, int]) -> FloatArray | None:
-    ok, corners = cv2.findChessboardCorners(gray, size, flags=cv2.CALIB_CB_ADAPTIVE_THRESH)
-    return corners.reshape(-1, 2).astype(float) if ok else None
-
-
-def _enlarged(gray: np.ndarray, size: tuple[int, int]) -> FloatArray | None:
-    twice = cv2.resize(gray, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-    corners = _plain(twice, size)
-    return None if corners is None else (corners - 0.5) / 2  # the middle of pixel 0 is at 0.5 px of the larger image
-
-
-def _by_sectors(gray: np.ndarray, size: tuple[int, int]) -> FloatArray | None:
-    ok, corners = cv2.findChessboardCornersSB(gray, size, flags=cv2.CALIB_CB_EXHAUSTIVE)
-    return corners.reshape(-1, 2).astype(float) if ok else None

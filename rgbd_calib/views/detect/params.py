@@ -8,7 +8,7 @@ from dataclasses import dataclass
 @dataclass(frozen=True)
 class DetectParams:
     escalate: bool = True
-    """Search again, harder and slower, where the plain search finds no board though the image looks like one."""
+    """Search an enlarged part of the image too, where a grid of small squares was found in part."""
     min_corners: int = 6
     """A view with fewer corners is dropped."""
     min_share: float = 0.8
