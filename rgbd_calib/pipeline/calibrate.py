@@ -60,6 +60,12 @@ class Views:
     selection: frame_selection.Selection | None = None
     """The frames that tell most, where not all are used."""
 
+    def read_as(self, solved: Sequence[PlacedView]) -> Views:
+        """With the faces that a solution decided on."""
+        read = {(p.view.camera, p.view.frame): p for p in solved}
+        views = tuple(read[p.view.camera, p.view.frame] for p in self.association.views)
+        return replace(self, association=replace(self.association, views=views))
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -118,6 +124,7 @@ def calibrate(
         solution = solved = _bundle(views, board, recording, config, reference)
         if config.bundle.structure == "free":
             solved = free_structure(solved)
+        views = views.read_as(solved.course.views)
         boards, rig = solved.board_poses(), _rig_of_bundle(solved, reference)
         residuals, joint = details.residuals_of_bundle(solved, board), details.joint_of_bundle(solved)
         quality = bundle_quality(solved)

@@ -16,7 +16,7 @@ import numpy as np
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.rig import observability, outliers, solve
+from rgbd_calib.rig import faces, observability, outliers, solve
 from rgbd_calib.rig.blocks import Boards
 from rgbd_calib.rig.common_errors import common_errors
 from rgbd_calib.rig.observations import Walls, observe
@@ -84,6 +84,11 @@ def bundle(
     for _ in range(params.max_rounds):
         problem, state, moved, done = _round(problem, state, len(dropped))
         iterations, history = iterations + done[0], [*history, done[1]]
+        readings = faces.best_readings(problem, state)
+        if readings.n_changed:
+            views = faces.read_views(views, problem.obs.frame, readings, board)
+            problem, state = faces.read(problem, state, readings.moves, readings.of_frame)
+            continue
         if moved < SCALES_KNOWN:
             found = outliers.find(problem, state)
             reasons = dict(found.pixel_views) | {v: f"depth only: {why}" for v, why in found.depth_views.items()}
