@@ -7,9 +7,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from april_views import GRID, photograph, pose
 from test_import_bags import bag2
 from test_import_folders import save, write_video
 
+from rgbd_calib.geometry import se3, so3
 from rgbd_calib.io.recording import Recording
 
 
@@ -69,16 +71,18 @@ def ros2_bag(drawn: Recording, folder: Path) -> Path:
     return folder
 
 
-def kalibr(folder: Path) -> Path:
-    """Kalibr's dataset of two cameras: cam0/TIME_NS.png, an AprilGrid in front of them."""
-    tags = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    sheet = np.full((480, 640), 255, np.uint8)
-    for n in range(12):
-        y, x = 20 + 150 * (n // 4), 20 + 150 * (n % 4)
-        sheet[y : y + 110, x : x + 110] = cv2.aruco.generateImageMarker(tags, n, 110)
-    for camera in ("cam0", "cam1"):
-        for i in range(4):
-            save(folder / camera / f"{1_520_530_308_199_447_626 + 50_000_000 * i}.png", np.roll(sheet, 8 * i, axis=1))
+T_CAM0_CAM1 = se3.make(so3.exp(np.array([0.0, -0.25, 0.0])), np.array([0.18, 0.01, 0.03]))
+
+
+def kalibr(folder: Path, frames: int = 14) -> Path:
+    """Kalibr's dataset of two cameras: cam0/TIME_NS.png, an AprilGrid in front of them, and its target.yaml."""
+    rng = np.random.default_rng(6)
+    for i in range(frames):
+        T_cam0_board = pose(rng, GRID, rng.uniform(-3, 3), rng.uniform(0.6, 1.0))
+        for camera, T in (("cam0", T_cam0_board), ("cam1", se3.inverse(T_CAM0_CAM1) @ T_cam0_board)):
+            save(folder / camera / f"{1_520_530_308_199_447_626 + 50_000_000 * i}.png", photograph(GRID, T, rng))
+    target = "target_type: 'aprilgrid'\ntagCols: 6\ntagRows: 4\ntagSize: 0.06\ntagSpacing: 0.3\n"
+    (folder / "april_6x4.yaml").write_text(target)
     return folder
 
 

@@ -80,6 +80,9 @@ def command(
     for line in sentences(found):
         say(line)
     asking = not yes and sys.stdin.isatty() and sys.stderr.isatty()
+    if named_board is None and len(found.boards) == 1:
+        ((path, named_board),) = found.boards
+        say(f"{path}: the board")
     if named_board is None:
         named_board = _board(find_board(found, progress), asking)
     answers = Answers(named_board, depth_scale, _registered(found, registered, asking))

@@ -11,6 +11,7 @@ import numpy as np
 from rgbd_calib.cameras.intrinsics import calibrate_intrinsics
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.io.board_files import read_board
 from rgbd_calib.io.calibrations import FoundCalibration, FoundCamera, read_calibration
 from rgbd_calib.io.dataset import CameraInfo, DepthGeometry
 from rgbd_calib.io.depth_files import FARTHEST_M, NO_MEASUREMENT, read_depth_raw
@@ -26,6 +27,7 @@ from rgbd_calib.views.depth_evidence import DepthUnit, find_depth_unit
 from rgbd_calib.views.detect import detect_view
 
 _CALIBRATION_SUFFIXES = (".yaml", ".yml", ".json", ".xml", ".toml", ".cameramodel")
+_BOARD_SUFFIXES = (".yaml", ".yml")
 _MAX_CALIBRATION_FILES = 200
 _IMAGES_FOR_BOARD = 12
 _VIEWS_FOR_UNIT = 12
@@ -40,6 +42,8 @@ class Found:
     folder: Path
     guess: Guess
     calibrations: tuple[tuple[Path, FoundCalibration], ...] = ()
+    boards: tuple[tuple[Path, Board], ...] = ()
+    """Of files that describe nothing but a board."""
 
     @property
     def together(self) -> int:
@@ -84,9 +88,10 @@ def look_at(folder: Path, given: Mapping[Kind, str] | None = None, calibration: 
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder. Give the folder that holds the images")
     guess = guess_layout(folder, given)
+    boards = tuple(_boards(folder))
     if calibration is not None:
-        return Found(folder, guess, ((calibration, read_calibration(calibration)),))
-    return Found(folder, guess, tuple(_calibrations(folder)))
+        return Found(folder, guess, ((calibration, read_calibration(calibration)),), boards)
+    return Found(folder, guess, tuple(_calibrations(folder)), boards)
 
 
 def find_board(found: Found, progress: Progress = silent) -> BoardGuess | None:
@@ -157,6 +162,19 @@ def _looks(stream: Stream) -> str:
     own = stream.sniffed
     words = {"color": "", "grey 8": ", grey", "grey 16": ", 16 bits", "float": ", floating point"}
     return f"{own.width}x{own.height}{words[own.pixels]} ({stream.template})"
+
+
+def _boards(folder: Path) -> list[tuple[Path, Board]]:
+    found = []
+    paths = [
+        folder / name for name in walk(folder) if name.endswith(_BOARD_SUFFIXES) and not name.endswith("dataset.yaml")
+    ]
+    for path in paths[:_MAX_CALIBRATION_FILES]:
+        try:
+            found.append((path, read_board(path)))
+        except ConfigError:
+            continue  # another file
+    return found
 
 
 def _calibrations(folder: Path) -> list[tuple[Path, FoundCalibration]]:

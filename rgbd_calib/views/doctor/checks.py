@@ -183,7 +183,8 @@ def check_sharpness(
     lost: list[Key] = []
     for camera in {c for c, _ in (*views, *missed)}:
         mine = {k: m for k, m in views.items() if k[0] == camera}
-        usual = np.nanmedian([m.edge_px for m in mine.values()]) if mine else np.nan
+        widths = [m.edge_px for m in mine.values() if not np.isnan(m.edge_px)]  # of checkerboards only
+        usual = np.median(widths) if widths else np.nan
         usual_texture = np.median([m.texture for m in mine.values()]) if mine else np.nan
         for key, m in mine.items():
             wide = m.edge_px > max(params.max_edge_ratio * usual, usual + params.max_edge_px)
