@@ -29,7 +29,7 @@ from rgbd_calib.io.capture_log import CaptureLog, Status
 from rgbd_calib.io.growing_recording import GrowingRecording
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.sensors.discover import find_cameras
-from rgbd_calib.sensors.openni2 import Runtime, load_runtime
+from rgbd_calib.sensors.driver import Drivers, load_drivers
 from rgbd_calib.sensors.rig import Rig
 from rgbd_calib.sensors.writer import FrameSetWriter
 from rgbd_calib.types import Board
@@ -52,6 +52,8 @@ class CaptureParams:
     devices: dict[str, str] = field(default_factory=dict)
     """{camera id: serial number, USB path or uri}; empty: all that are attached."""
     distances_m: tuple[float, ...] = ()
+    drivers: tuple[str, ...] = ()
+    """See :func:`load_drivers`; empty: all that are installed."""
     redist: Path | None = None
     append: bool = False
     auto_exposure: bool = False
@@ -95,7 +97,7 @@ def capture(params: CaptureParams, console: Console, ask: Ask) -> CaptureResult:
         )
     stop = threading.Event()
     with stopping_on_signals(stop):
-        runtime = load_runtime(params.redist)
+        runtime = load_drivers(params.drivers, params.redist)
         try:
             return _Session(params, recording, runtime, stop).run(console, ask)
         finally:
@@ -106,7 +108,7 @@ class _Session:
     """The parts of one capture, and the order in which they start and end."""
 
     def __init__(
-        self, params: CaptureParams, recording: GrowingRecording, runtime: Runtime, stop: threading.Event
+        self, params: CaptureParams, recording: GrowingRecording, runtime: Drivers, stop: threading.Event
     ) -> None:
         self._params = params
         self._recording = recording
@@ -161,6 +163,7 @@ class _Session:
     def _record(self, rig: Rig, ask: Ask) -> None:
         params = self._params
         self._log.set(cameras={c: asdict(device) | exposure for c, (device, exposure) in rig.settings().items()})
+        self._recording.describe(rig.describe())
         clock_zero_s = time.monotonic() - (time.time() - self._log.clock_zero_unix_s)
         photographer = Photographer(rig, params.depth, clock_zero_s)
         with ExitStack() as stack:

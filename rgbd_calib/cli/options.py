@@ -70,6 +70,15 @@ redist_option = click.option(
 )
 
 
+driver_option = click.option(
+    "--driver",
+    "drivers",
+    multiple=True,
+    metavar="NAME",
+    help="openni2, realsense, or replay:RECORDING, a recording played as cameras (repeat).  [default: all that are installed]",
+)
+
+
 def board_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """--board COLSxROWS --square M [--two-sided M], or --board FILE; given to the command as `board`: call it for a Board or
     None."""

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from rgbd_calib.errors import CalibrationError
+from rgbd_calib.io.dataset import CameraInfo
+from rgbd_calib.sensors.driver import Device, DeviceSettings, Driver
 from rgbd_calib.sensors.frame_sets import MAX_SPREAD_S, tightest_frame_set
 from rgbd_calib.sensors.frames import PERIOD_S, FrameSet, Kind
 from rgbd_calib.sensors.identity import Identity
-from rgbd_calib.sensors.openni2 import Runtime
-from rgbd_calib.sensors.openni2_device import FPS, Device, DeviceSettings
 from rgbd_calib.sensors.reader import DeviceReader, ReaderCounts
 
 Listener = Callable[[str, str], None]
@@ -58,7 +58,7 @@ class Rig:
 
     def __init__(
         self,
-        runtime: Runtime,
+        runtime: Driver,
         cameras: Mapping[str, Identity],
         listener: Listener,
         *,
@@ -109,6 +109,10 @@ class Rig:
     def settings(self) -> dict[str, tuple[DeviceSettings, dict[str, Any]]]:
         """What each camera was set to: the device, and exposure and white balance."""
         return {c: (seat.settings, self._camera_settings.get(c, {})) for c, seat in self._seats.items()}
+
+    def describe(self) -> dict[str, CameraInfo]:
+        """Sizes, unit of depth and geometry as the devices state them."""
+        return {camera: seat.device.describe() for camera, seat in self._seats.items()}
 
     def counts(self) -> dict[str, ReaderCounts]:
         """What each camera delivered, over all times it was plugged in."""
@@ -180,9 +184,10 @@ class Rig:
             for camera in self._seats:
                 for kind in after[camera].frames:
                     rate = (after[camera].frames[kind] - before[camera].frames[kind]) / elapsed_s
-                    if rate < _MIN_RATE * FPS:
+                    if rate < _MIN_RATE / PERIOD_S:
                         self._listener(
-                            camera, f"{kind} comes at {rate:.0f} fps instead of {FPS}: a shared USB controller?"
+                            camera,
+                            f"{kind} comes at {rate:.0f} fps instead of {1 / PERIOD_S:.0f}: a shared USB controller?",
                         )
 
     def _finish_setup(self, camera: str, seat: _Seat) -> None:
