@@ -72,54 +72,66 @@ def over_image(pixels_px: FloatArray, size_px: FloatArray) -> tuple[FloatArray, 
 
 @dataclass(frozen=True)
 class CellPattern:
-    """z^power times values over the image, linear between the middles of its cells."""
+    """Values over the image, linear between the middles of its cells, for each of some powers of the depth."""
 
-    power: int
+    powers: tuple[int, ...]
     values: FloatArray
-    """(rows, columns) of cells that fill the image."""
+    """(powers, rows, columns) of cells that fill the image."""
 
     def error_m(self, pixels_px: FloatArray, z_m: FloatArray, size_px: FloatArray) -> FloatArray:
         """(...), metres, at pixels (..., 2) of an image of `size_px` (2,) and reported depths (...)."""
-        rows, columns = self.values.shape
+        _, rows, columns = self.values.shape
         at = (pixels_px + 0.5) / size_px * [columns, rows] - 0.5
-        pattern = map_coordinates(self.values, [at[..., 1], at[..., 0]], order=1, mode="nearest")
-        return np.asarray(pattern * np.asarray(z_m) ** self.power)
+        out = np.zeros(np.shape(z_m))
+        for power, values in zip(self.powers, self.values, strict=True):
+            pattern = map_coordinates(values, [at[..., 1], at[..., 0]], order=1, mode="nearest")
+            out += pattern * np.asarray(z_m) ** power
+        return out
 
 
 @dataclass(frozen=True)
 class PolynomialField:
-    """Legendre polynomials over the image, for each of some powers of the depth.
+    """Legendre polynomials over the image, that grow with the depth.
 
-    field(u, v, z) = sum_p z^p sum_k c_pk T_k(x, y), z held to [min_m, max_m], degrees from 1 on: the degree 0 is the bias's.
+    field(u, v, z) = z^(p + q ln z) sum_k c_k T_k(x, y), z held to [min_m, max_m], degrees from 1 on: the degree 0 is the bias's.
     """
 
     width: int
     height: int
     degree: int
-    powers: tuple[int, ...]
+    growth: tuple[float, float]
+    """p, q: 2, 0 of an error in disparity, 0, 0 of one in range."""
     coefficients: FloatArray
-    """(powers, n_terms - 1)."""
+    """(n_terms - 1,)."""
     min_m: float
     max_m: float
     covariance: FloatArray | None = None
-    """(k, k) of the flattened coefficients, where it is known."""
+    """(k, k) of the coefficients, then p and q, where it is known."""
     pattern: CellPattern | None = None
     """What is finer than the polynomials, where walls showed it."""
 
     def error_m(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:
         """field (...), metres, at pixels (..., 2) of the depth image and reported depths (...)."""
-        out = np.asarray(self.basis(pixels_px, z_m) @ self.coefficients.ravel())
+        z = np.clip(z_m, self.min_m, self.max_m)
+        out = np.asarray(self._grown(z) * (self._shapes(pixels_px) @ self.coefficients))
         if self.pattern is None:
             return out
-        z = np.clip(z_m, self.min_m, self.max_m)
         return out + self.pattern.error_m(pixels_px, z, np.array([self.width, self.height], float))
 
-    def basis(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:
-        """(..., k) derivatives of the field by its flattened coefficients."""
+    def by_parameters(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:
+        """(..., k) derivatives of the field by its coefficients, then by p and q."""
+        z, T = np.clip(z_m, self.min_m, self.max_m)[..., None], self._shapes(pixels_px)
+        pattern, log = (T @ self.coefficients)[..., None], np.log(z)
+        return np.concatenate([T, pattern * log, pattern * log**2], axis=-1) * self._grown(z)
+
+    def _grown(self, z_m: FloatArray) -> FloatArray:
+        p, q = self.growth
+        log = np.log(z_m)
+        return np.asarray(np.exp((p + q * log) * log))
+
+    def _shapes(self, pixels_px: FloatArray) -> FloatArray:
         x, y = over_image(pixels_px, np.array([self.width, self.height], float))
-        z = np.clip(z_m, self.min_m, self.max_m)[..., None]
-        T = terms(x, y, self.degree)[..., 1:]
-        return np.concatenate([T * z**p for p in self.powers], axis=-1)
+        return terms(x, y, self.degree)[..., 1:]
 
 
 @dataclass(frozen=True)

@@ -96,31 +96,34 @@ class DepthBiasModel(Model):
 
 
 class CellPatternModel(Model):
-    """z^power times values (rows, columns) of cells that fill the image, metres, linear between their middles."""
+    """sum_p z^p times values (powers, rows, columns) of cells that fill the image, linear between their middles."""
 
-    power: Annotated[int, Field(ge=-2, le=4)]
-    values: Annotated[list[list[Finite]], Field(min_length=1, max_length=500)]
+    powers: Annotated[list[Annotated[int, Field(ge=-2, le=4)]], Field(min_length=1, max_length=4)]
+    values: Annotated[list[Annotated[list[list[Finite]], Field(min_length=1, max_length=500)]], Field(min_length=1)]
 
     @model_validator(mode="after")
-    def _rectangle(self) -> CellPatternModel:
-        if len({len(row) for row in self.values}) != 1 or not self.values[0]:
-            raise ValueError("values are not rows of one length")
+    def _box(self) -> CellPatternModel:
+        if len(self.values) != len(self.powers):
+            raise ValueError("values are not one table for each power")
+        if len({(len(table), len(row)) for table in self.values for row in table}) != 1 or not self.values[0][0]:
+            raise ValueError("values are not tables of one size, with rows of one length")
         return self
 
     def value(self) -> CellPattern:
-        return CellPattern(self.power, np.array(self.values))
+        return CellPattern(tuple(self.powers), np.array(self.values))
 
 
 class PolynomialFieldModel(Model):
-    """sum_p z^p sum_k c_pk T_k(x, y): products of Legendre polynomials in x, y (-1 to 1 over the image) by total degree from 1
+    """z^(p + q ln z) sum_k c_k T_k(x, y): products of Legendre polynomials in x, y (-1 to 1 over the image) by total degree from 1
     on, and within a degree by the power of y from the highest; z_true = z + bias(z) + field, z held to [min_m, max_m]."""
 
     basis: Literal["legendre"] = "legendre"
     width: Side
     height: Side
     degree: Annotated[int, Field(ge=1, le=20)]
-    powers: Annotated[list[Annotated[int, Field(ge=-2, le=4)]], Field(min_length=1, max_length=4)]
-    coefficients: list[list[Finite]]
+    growth: tuple[Annotated[float, Field(ge=-2, le=6)], Annotated[float, Field(ge=-2, le=2)]]
+    """p, q."""
+    coefficients: list[Finite]
     min_m: Positive
     max_m: Positive
     covariance: list[list[Finite]] | None = None
@@ -129,11 +132,11 @@ class PolynomialFieldModel(Model):
 
     @model_validator(mode="after")
     def _lengths(self) -> PolynomialFieldModel:
-        rows, n = len(self.powers), n_terms(self.degree) - 1
-        if [len(row) for row in self.coefficients] != [n] * rows:
-            raise ValueError(f"coefficients are not {rows} x {n}, one row for each power, one number for each term")
-        if self.covariance is not None and [len(row) for row in self.covariance] != [rows * n] * (rows * n):
-            raise ValueError(f"covariance is not {rows * n} x {rows * n}")
+        n = n_terms(self.degree) - 1
+        if len(self.coefficients) != n:
+            raise ValueError(f"{len(self.coefficients)} coefficients, {n} needed, one for each term")
+        if self.covariance is not None and [len(row) for row in self.covariance] != [n + 2] * (n + 2):
+            raise ValueError(f"covariance is not {n + 2} x {n + 2}, of the coefficients, p and q")
         return self
 
     def value(self) -> PolynomialField:
@@ -143,7 +146,7 @@ class PolynomialFieldModel(Model):
             own.width,
             own.height,
             own.degree,
-            tuple(own.powers),
+            own.growth,
             np.array(own.coefficients),
             own.min_m,
             own.max_m,

@@ -1,11 +1,13 @@
 """What a depth sensor errs by over its image, beyond the smooth field: cells, steps, ripples, from the walls alone.
 
-With the smooth field (:mod:`.blocks.depth_field`) and all else as solved, what is left at a cell of the image in the walls of
-one camera, over z^p, is a pattern f plus noise. The mean over the walls has the noise that their scatter says. It is filtered
-in the frequencies of the image, each band by its signal's share of its power (N. Wiener, 1949, with the spectrum estimated
-from the data): where there is no pattern nothing is left, and where there is one its noise is not taken for it. p is the power
-that leaves the least. Patterns this fine have no part in where cameras stand; so they are estimated between the rounds, and
-are known while the rest is solved.
+With the smooth field (:mod:`.blocks.depth_field`) and all else as solved, what is left in the walls of one camera, beyond
+shapes that are smooth themselves, is a sum of patterns f_p(u, v) z^p, plus noise that grows as z^2. In the frequencies of the image the patterns are independent of each
+other, those of one band of frequencies alike in size. Their covariance over the powers, band by band, is that which makes
+the data most probable (expectation and maximisation), and the patterns are their mean given the data (N. Wiener, 1949): where
+there is no pattern nothing is left, and where there is one its noise is not taken for it.
+
+Patterns this fine have no part in where cameras stand; so they are estimated between the rounds, and are known while the
+rest is solved.
 """
 
 from __future__ import annotations
@@ -13,17 +15,21 @@ from __future__ import annotations
 import numpy as np
 from scipy.fft import dctn, idctn
 
-from rgbd_calib.geometry.depth_error import CellPattern
-from rgbd_calib.geometry.linear import BoolArray
+from rgbd_calib.geometry.depth_error import CellPattern, terms
+from rgbd_calib.geometry.linear import BoolArray, IntArray
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.rig.blocks import depth_field
 
 POWERS = (0, 1, 2)
-LEAST_WALLS = 4
+"""Fixed pattern and range errors of time of flight, and disparity."""
+LEAST_WALLS = len(POWERS) + 1
 """Below, their scatter does not tell noise from pattern."""
 BANDS = 12
 """Of spatial frequency: the spectrum is smooth."""
 LEAST_SEEN = 0.5
 """Share of the walls in which a cell must be seen."""
+ROUNDS = 40
+"""Of expectation and maximisation."""
 
 
 def local_field(left_m: FloatArray, depth_m: FloatArray, seen: BoolArray) -> CellPattern | None:
@@ -33,33 +39,47 @@ def local_field(left_m: FloatArray, depth_m: FloatArray, seen: BoolArray) -> Cel
     ----------
     left_m : (walls, rows, columns), true less corrected depth.
     depth_m : (walls, rows, columns), as reported.
+    seen : (walls, rows, columns) bool.
     """
-    if len(left_m) < LEAST_WALLS:
+    known = seen & (seen.mean(axis=0) >= LEAST_SEEN)
+    walls = known.any(axis=(1, 2))
+    if walls.sum() < LEAST_WALLS:
         return None
-    best: tuple[float, CellPattern] | None = None
-    for power in POWERS:
-        w = np.where(seen, depth_m ** (2.0 * power - 4.0), 0.0)  # noise of z^2 in units of z^p
-        q = left_m / np.where(seen, depth_m, 1.0) ** power
-        total = w.sum(axis=0)
-        known = (seen.mean(axis=0) >= LEAST_SEEN) & (total > 0)
-        if not known.any():
-            return None
-        mean = np.where(known, np.sum(w * q, axis=0) / np.where(known, total, 1.0), 0.0)
-        scatter = np.sum(w * (q - mean) ** 2 * known) / max(int((seen & known).sum() - known.sum()), 1)
-        noise = scatter / np.where(known, total, np.inf)  # variance of the mean, by cell
-        values = _filtered(mean, float(noise[known].mean()))
-        left = float(np.sum((left_m - values * depth_m**power) ** 2 * np.where(seen, depth_m**-4.0, 0.0)))
-        if best is None or left < best[0]:
-            best = left, CellPattern(power, values)
-    return None if best is None else best[1]
+    left_m, depth_m, known = left_m[walls], depth_m[walls], known[walls]
+    q = _rough(np.where(known, left_m / depth_m**2, 0.0), known)
+    z = np.sum(depth_m * known, axis=(1, 2)) / known.sum(axis=(1, 2))
+    A = z[:, None] ** (np.array(POWERS, float) - 2)  # (walls, powers)
+    band = _bands(*q.shape[1:])
+    S = np.eye(len(POWERS)) * float(np.mean(q[known] ** 2))
+    sizes, noise = np.repeat(S[None], BANDS, axis=0), float(np.mean(q[known] ** 2))
+    filled = q
+    for _ in range(ROUNDS):
+        at = dctn(filled, axes=(1, 2), norm="ortho")  # (walls, rows, columns)
+        posterior = np.linalg.inv(np.linalg.inv(sizes) + A.T @ A / noise)  # (bands, powers, powers)
+        mean = np.einsum("rcpq,wq,wrc->rcp", posterior[band], A, at) / noise
+        count = np.bincount(band.ravel(), minlength=BANDS)
+        outer = np.zeros((BANDS, len(POWERS), len(POWERS)))
+        np.add.at(outer, band.ravel(), (mean[..., :, None] * mean[..., None, :]).reshape(-1, *outer.shape[1:]))
+        sizes = outer / count[:, None, None] + posterior
+        values = idctn(mean, axes=(0, 1), norm="ortho")
+        fitted = np.einsum("wp,rcp->wrc", A, values)
+        lost = np.einsum("wp,bpq,wq,b->", A, posterior, A, count)
+        noise = (float(np.sum((q - fitted)[known] ** 2)) + lost * known.mean()) / known.sum()
+        filled = np.where(known, q, fitted)
+    return CellPattern(POWERS, values.transpose(2, 0, 1))
 
 
-def _filtered(mean: FloatArray, noise: float) -> FloatArray:
-    """The part of `mean` (rows, columns) that stands out of white noise of this variance."""
-    rows, columns = mean.shape
-    spectrum = dctn(mean, norm="ortho")
+def _rough(q: FloatArray, known: BoolArray) -> FloatArray:
+    """Values (walls, rows, columns) less what the smooth field could follow, by least squares wall by wall."""
+    rows, columns = q.shape[1:]
+    y, x = (2 * (np.arange(n) + 0.5) / n - 1 for n in (rows, columns))
+    T = terms(*np.broadcast_arrays(x[None, :], y[:, None]), depth_field.DEGREE)
+    out = np.zeros_like(q)
+    for wall, seen, rough in zip(q, known, out, strict=True):
+        rough[seen] = wall[seen] - T[seen] @ np.linalg.lstsq(T[seen], wall[seen], rcond=None)[0]
+    return out
+
+
+def _bands(rows: int, columns: int) -> IntArray:
     frequency = np.hypot(*np.meshgrid(np.arange(rows) / rows, np.arange(columns) / columns, indexing="ij"))
-    band = np.minimum((frequency / frequency.max() * BANDS).astype(int), BANDS - 1)
-    power = np.bincount(band.ravel(), spectrum.ravel() ** 2) / np.bincount(band.ravel())
-    share = np.clip(1 - noise / np.maximum(power, 1e-300), 0.0, 1.0)
-    return np.asarray(idctn(spectrum * share[band], norm="ortho"))
+    return np.minimum((frequency / frequency.max() * BANDS).astype(int), BANDS - 1)

@@ -213,7 +213,8 @@ class Problem:
         for block in self.blocks:
             if isinstance(block, Registration) and np.any(state.values[block.name][c]):
                 shift += block.by_parameters(c, obs.pixels_px, obs.depth_m) @ state.values[block.name][c]
-        return terms.look_at_depth(sight, self.setup.priors[c].intrinsics, shift, corrected, slope)
+        look = terms.look_at_depth(sight, self.setup.priors[c].intrinsics, shift, corrected, slope)
+        return replace(look, values=self._of_depth(state, c))
 
     def looks_at_walls(self, state: State, cameras: Sequence[int]) -> Iterator[tuple[IntArray, Look, FloatArray]]:
         """Rows of the walls of each camera, their numbers, and the derivatives (n, N, 1, 3) by the walls' own unknowns."""
@@ -229,6 +230,7 @@ class Problem:
             corrected, slope = self.corrected(state, c, at, z)
             seen = walls.seen[mine] & np.isfinite(rays[..., 0])
             look = terms.look_at_walls(c, at, z, ahead, by_wall[..., 0], slope, corrected, seen)
+            look = replace(look, values=self._of_depth(state, c))
             yield mine, look, (by_wall / slope[..., None])[:, :, None]
 
     def corrected(
@@ -239,10 +241,14 @@ class Problem:
         if self.local and (local := self.local[camera]) is not None:
             corrected += local.error_m(pixels_px, depth_m, self.setup.sizes_px[camera])
         for block in self.blocks:
-            if isinstance(block, DepthErrorBlock) and np.any(own := state.values[block.name][camera]):
-                corrected += block.basis(camera, pixels_px, depth_m) @ own
-                slope += block.basis_slope(camera, pixels_px, depth_m) @ own
+            if isinstance(block, DepthErrorBlock):
+                error, by_depth = block.error(camera, state.values[block.name][camera], pixels_px, depth_m)
+                corrected += error
+                slope += by_depth
         return corrected, slope
+
+    def _of_depth(self, state: State, camera: int) -> dict[str, FloatArray]:
+        return {b.name: state.values[b.name][camera] for b in self.blocks if isinstance(b, DepthErrorBlock)}
 
     def residuals(self, state: State, obs: Observations | None = None) -> tuple[FloatArray, FloatArray]:
         """Of all views, pixels (V, N, 2) and depth (V, N), metres, by the masks of `obs`, or of the problem."""

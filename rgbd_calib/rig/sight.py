@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -65,6 +66,8 @@ class Look:
     """(n, N), of the corrected by the reported depth; of depth."""
     by_distance: FloatArray | None = None
     """(n, N), by the distance of the wall; of walls."""
+    values: Mapping[str, FloatArray] = field(default_factory=dict)
+    """The camera's unknowns at this state, by block, of those of depth."""
 
     @property
     def sight(self) -> Sight:

@@ -185,7 +185,7 @@ def place_derivatives(rig: Rig, name: str, observed: Observed) -> dict[str, Floa
         powers = polynomial.polyvander(np.clip(observed.raw_m, bias.min_m, bias.max_m), len(bias.coefficients) - 1)
         out["depth bias"] = ray[..., None] * powers[:, None]
     if isinstance(own.depth_field, PolynomialField):
-        shapes = own.depth_field.basis(observed.depth_pixels_px, observed.raw_m)
+        shapes = own.depth_field.by_parameters(observed.depth_pixels_px, observed.raw_m)
         out["depth field"] = ray[..., None] * shapes[:, None]
     return out
 

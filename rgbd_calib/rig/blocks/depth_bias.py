@@ -90,15 +90,13 @@ class DepthBiasBlock(DepthErrorBlock):
         given = len(prior.bias.coefficients)
         return max(given, N_WEAK_BIAS) if prior.bias_is_start else given
 
-    def basis(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> FloatArray:
-        return np.asarray(polynomial.polyvander(np.clip(depth_m, *self.range_m[camera]), self.n - 1), float)
-
-    def basis_slope(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> FloatArray:
+    def basis(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         low, high = self.range_m[camera]
-        powers = np.asarray(polynomial.polyvander(depth_m, self.n - 1), float)
+        powers = np.asarray(polynomial.polyvander(np.clip(depth_m, low, high), self.n - 1), float)
         slope = np.zeros_like(powers)
         slope[..., 1:] = powers[..., :-1] * np.arange(1, self.n)
-        return np.where(((depth_m >= low) & (depth_m <= high))[..., None], slope, 0.0)
+        inside = (depth_m >= low) & (depth_m <= high)
+        return powers, np.where(inside[..., None], slope, 0.0)
 
 
 def _information(bias: DepthBias | None, n: int, params: BundleParams) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What the blocks of the depth's error share: z_true = z + sum of basis functions of the pixel and of the reported depth."""
+"""What the blocks of the depth's error share: z_true = z + a function of the pixel and of the reported depth."""
 
 from __future__ import annotations
 
@@ -12,21 +12,31 @@ from rgbd_calib.rig.sight import Look
 
 
 class DepthErrorBlock(Block):
-    """Coefficients (C, n) of a correction of the reported depth."""
+    """Parameters (C, n) of a correction of the reported depth, that of a camera linear in them where nothing else is said."""
 
     scope = Scope.CAMERA
     kinds = frozenset({Kind.DEPTH, Kind.WALL})
 
     @abstractmethod
-    def basis(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> FloatArray:
-        """(..., n) at pixels (..., 2) of the depth image and reported depths (...), metres."""
+    def basis(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Functions (..., n) at pixels (..., 2) of the depth image and reported depths (...), metres, and their slopes
+        (..., n) by the reported depth."""
 
-    @abstractmethod
-    def basis_slope(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> FloatArray:
-        """(..., n), its derivative by the reported depth."""
+    def error(
+        self, camera: int, own: FloatArray, pixels_px: FloatArray, depth_m: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """True less reported depth (...), metres, by the camera's parameters (n,), and its slope (...)."""
+        basis, slope = self.basis(camera, pixels_px, depth_m)
+        return basis @ own, slope @ own
+
+    def by_parameters(
+        self, camera: int, own: FloatArray, pixels_px: FloatArray, depth_m: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Derivatives (..., n) of the error, and of its slope, by the parameters (n,)."""
+        return self.basis(camera, pixels_px, depth_m)
 
     def derivative(self, look: Look) -> FloatArray:
         assert look.slope is not None  # rows of depth have it
-        at = look.camera, look.pixels_px, look.depth_m
-        by_noise = look.left * self.basis_slope(*at)
-        return np.asarray(-((self.basis(*at) + by_noise) / look.slope[..., None])[..., None, :])
+        own = look.values.get(self.name, np.zeros(self.n))
+        by_own, slope_by_own = self.by_parameters(look.camera, own, look.pixels_px, look.depth_m)
+        return np.asarray(-((by_own + look.left * slope_by_own) / look.slope[..., None])[..., None, :])

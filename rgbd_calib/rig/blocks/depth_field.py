@@ -1,7 +1,10 @@
-"""What a depth sensor errs by over its image: polynomials of the pixel, for each of some powers of the depth.
+"""What a depth sensor errs by over its image: polynomials of the pixel, that grow with the depth.
 
-A triangulating sensor errs in disparity, so that the error grows as z^2; a time-of-flight camera errs in range. How large each
-is, is estimated with the rest: with nothing to tell, it stays at what is usual, and with nothing there it goes to zero.
+    z_true = z + ... + z^(p + q ln z) sum_k c_k T_k(u, v)
+
+A triangulating sensor errs in disparity, so that p = 2; a time-of-flight camera errs in range, and p is nearer 0; q bends the
+line of the error over the depth on double logarithmic paper. Both are estimated; how large the shapes of each degree are, is
+too: with nothing to tell it stays at what is usual, and where there is nothing it goes to zero.
 """
 
 from __future__ import annotations
@@ -13,41 +16,62 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import BlockPrior, Component
 from rgbd_calib.rig.blocks.depth_error import DepthErrorBlock
 
-DEGREE = 6
-"""Six shapes across the image; what is rougher belongs to single pixels."""
-POWERS = (1, 2)
+DEGREE = 8
+"""Eight shapes across the image; what is rougher, only walls show."""
 DOF = 2.0
 """Of what is usual: known to a factor of two."""
+GROWTH, GROWTH_SD = np.array([2.0, 0.0]), np.array([0.7, 0.2])
+"""Prior of p and q: disparity, or range."""
 
 
 class DepthField(DepthErrorBlock):
-    """Coefficients of products of Legendre polynomials, by power and then by degree; the degree 0 is the bias's."""
+    """Coefficients of products of Legendre polynomials by degree from 1 on, the degree 0 being the bias's; then p and q."""
 
     name = "depth field"
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        return tuple(f"depth field z^{p} {k}" for p in POWERS for k in range(1, n_terms(DEGREE)))
+        return (*(f"depth field {k}" for k in range(1, n_terms(DEGREE))), "growth of the depth field p", "q")
+
+    def start(self) -> FloatArray:
+        out = np.zeros((self.sets, self.n))
+        out[:, -2:] = GROWTH
+        return out
 
     def prior(self) -> BlockPrior:
-        own, n, size = self.setup, n_terms(DEGREE) - 1, self.size
+        own, n = self.setup, self.n
         degree = np.concatenate([np.full(d + 1, d) for d in range(1, DEGREE + 1)])
-        free, components = np.zeros((self.sets, self.n), bool), []
+        mean, information = self.start(), np.zeros((self.sets, n))
+        information[:, -2:] = GROWTH_SD**-2.0
+        free, components = np.zeros((self.sets, n), bool), []
         for c in range(self.sets):
             free[c] = bool(np.any(own.obs.has_depth[own.obs.camera == c]) or np.any(own.walls.camera == c))
-            for k, power in enumerate(POWERS):
-                at = c * self.n + k * n + np.arange(n)
-                name = f"{own.cameras[c]}: depth field z^{power}"
-                components.append(Component(name, at, np.diag(degree.astype(float) ** 2), own.params.field_per_m, DOF))
-        return BlockPrior(np.zeros(size), np.zeros((size, size)), free.ravel(), np.zeros(size, bool), tuple(components))
+            for d in range(1, DEGREE + 1):
+                at, usual = c * n + np.flatnonzero(degree == d), own.params.field_per_m / d**2
+                components.append(Component(f"{own.cameras[c]}: depth field {d}", at, np.eye(len(at)), usual, DOF))
+        assumed = np.zeros(self.size, bool)
+        return BlockPrior(mean.ravel(), np.diag(information.ravel()), free.ravel(), assumed, tuple(components))
 
-    def basis(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> FloatArray:
-        T = self._shapes(camera, pixels_px)
-        return np.concatenate([T * depth_m[..., None] ** p for p in POWERS], axis=-1)
+    def basis(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        raise NotImplementedError  # the error is not linear in p and q
 
-    def basis_slope(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> FloatArray:
-        T = self._shapes(camera, pixels_px)
-        return np.concatenate([p * T * depth_m[..., None] ** max(p - 1, 0) for p in POWERS], axis=-1)
+    def error(
+        self, camera: int, own: FloatArray, pixels_px: FloatArray, depth_m: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        pattern, (p, q) = self._shapes(camera, pixels_px) @ own[:-2], own[-2:]
+        log = np.log(depth_m)
+        error = pattern * np.exp((p + q * log) * log)
+        return error, error / depth_m * (p + 2 * q * log)
+
+    def by_parameters(
+        self, camera: int, own: FloatArray, pixels_px: FloatArray, depth_m: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        T, (p, q), log = self._shapes(camera, pixels_px), own[-2:], np.log(depth_m)[..., None]
+        pattern = (T @ own[:-2])[..., None]
+        error = np.concatenate([T, pattern * log, pattern * log**2], axis=-1) * np.exp((p + q * log) * log)
+        slope = error * (p + 2 * q * log)
+        slope[..., -2:] += np.concatenate([pattern, 2 * pattern * log], axis=-1) * np.exp((p + q * log) * log)
+        return error, slope / depth_m[..., None]
 
     def _shapes(self, camera: int, pixels_px: FloatArray) -> FloatArray:
         x, y = over_image(pixels_px, self.setup.sizes_px[camera])

@@ -37,20 +37,15 @@ class DepthRange(DepthErrorBlock):
             out.append((z.min(), max(z.max(), z.min() + 1e-6)) if len(z) else (0.0, 1.0))
         return np.array(out)
 
-    def basis(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> FloatArray:
-        return np.asarray(self._shapes(camera, depth_m) * depth_m[..., None])
-
-    def basis_slope(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> FloatArray:
+    def basis(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         low, high = self.range_m[camera]
         inside = (depth_m >= low) & (depth_m <= high)
         by_t = legendre.legder(np.eye(DEGREE + 1)[:, 2:])  # (DEGREE, n): derivatives of the shapes as series
-        t = self._over_range(camera, depth_m)
+        t, z = self._over_range(camera, depth_m), depth_m[..., None]
+        shapes = legendre.legvander(t, DEGREE)[..., 2:]
         slopes = np.moveaxis(legendre.legval(t, by_t), 0, -1) * (2 / (high - low)) * inside[..., None]
-        return np.asarray(self._shapes(camera, depth_m) + slopes * depth_m[..., None])
+        return shapes * z, shapes + slopes * z
 
     def _over_range(self, camera: int, depth_m: FloatArray) -> FloatArray:
         low, high = self.range_m[camera]
         return np.asarray(np.clip(2 * (depth_m - low) / (high - low) - 1, -1, 1))
-
-    def _shapes(self, camera: int, depth_m: FloatArray) -> FloatArray:
-        return np.asarray(legendre.legvander(self._over_range(camera, depth_m), DEGREE)[..., 2:])
