@@ -8,6 +8,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
+import virtual_rig
 from small_recording import draw_recording
 
 from rgbd_calib.errors import CalibrationError, ConfigError
@@ -15,6 +16,8 @@ from rgbd_calib.io.recording import open_recording
 from rgbd_calib.sensors.discover import find_cameras
 from rgbd_calib.sensors.driver import Drivers, load_drivers
 from rgbd_calib.sensors.frames import PERIOD_S
+from rgbd_calib.sensors.openni2 import load_runtime
+from rgbd_calib.sensors.reader import DeviceReader
 from rgbd_calib.sensors.realsense import RealSense
 from rgbd_calib.sensors.replay import Replay
 from rgbd_calib.sensors.rig import Rig
@@ -277,3 +280,37 @@ def test_the_recorded_software_device_plays(rs, real_data):
         device.start()
         frames = read(device, 0.6)
     assert {f.kind for f in frames} == {"color", "depth"} and device.describe().intrinsics is not None
+
+
+@pytest.mark.slow
+def test_two_realsense_and_one_openni2_at_once_lose_nothing(rs, drawn, tmp_path, monkeypatch):
+    """For 20 s at 30 a second; every frame of the software devices is the one that was sent."""
+    redist = virtual_rig.build_redist(tmp_path / "redist")
+    virtual_rig.feed(open_recording(drawn), tmp_path / "raw")
+    (tmp_path / "control").touch()
+    for name, value in (("DEVICES", 1), ("DATA", tmp_path / "raw"), ("CONTROL", tmp_path / "control")):
+        monkeypatch.setenv(f"VXTION_{name}", str(value))
+    devices = [SoftDevice(rs, "111"), SoftDevice(rs, "222")]
+    bank = {kind: [devices[0].pixels(kind, n) for n in range(16)] for kind in ("color", "depth")}
+    monkeypatch.setattr(SoftDevice, "pixels", lambda self, kind, n: bank[kind][n % 16])
+    wrong: list[tuple[str, int]] = []
+    take = DeviceReader._take
+
+    def check_and_take(self, frame):
+        if self.camera in realsense and not np.array_equal(frame.pixels, bank[frame.kind][frame.index % 16]):
+            wrong.append((self.camera, frame.index))
+        take(self, frame)
+
+    monkeypatch.setattr(DeviceReader, "_take", check_and_take)
+    with closing(Drivers([load_runtime(redist), RealSense(rs, lambda: [d.handle for d in devices])])) as drivers:
+        cameras = find_cameras(drivers).assign({})
+        realsense = {c for c, identity in cameras.items() if identity.uri.startswith("realsense:")}
+        assert len(realsense) == 2 and len(cameras) == 3
+        with closing(Player(devices)), Rig(drivers, cameras, lambda *words: None, settle_s=1.0) as rig:
+            start_s = time.monotonic()
+            time.sleep(20.0)
+            seconds, counts = time.monotonic() - start_s, rig.counts()
+            assert rig.next_frame_set(time.monotonic(), 1.0).absent == ()
+    assert not wrong
+    for own in counts.values():
+        assert not any(own.lost.values()) and min(own.frames.values()) > 29.5 * seconds
