@@ -199,6 +199,19 @@ def test_what_a_realsense_states_of_itself(rs):
         device.set_emitter(False)
 
 
+def test_one_camera_gives_the_pulse_and_the_others_follow(rs):
+    soft, mode = [SoftDevice(rs, "111"), SoftDevice(rs, "222"), SoftDevice(rs, "333")], rs.option.inter_cam_sync_mode
+    allowed = rs.option_range()
+    allowed.min, allowed.max, allowed.step, allowed.default = 0.0, 2.0, 1.0, 0.0
+    for device in soft[:2]:
+        device.depth.add_option(mode, allowed, True)
+    driver, said = Drivers([RealSense(rs, lambda: [d.handle for d in soft])]), []
+    cameras = find_cameras(driver).assign({})
+    with closing(Player(soft)), Rig(driver, cameras, lambda *words: said.append(words), settle_s=0.1, sync_leader="C2"):
+        assert [d.depth.get_option(mode) for d in soft[:2]] == [2.0, 1.0]
+    assert [camera for camera, text in said if "runs freely" in text] == ["C3"]
+
+
 def test_a_realsense_at_another_rate_and_one_that_is_gone(rs):
     slow = SoftDevice(rs, "111", fps=15)
     attached = [slow.handle]
@@ -246,6 +259,8 @@ def test_capture_from_a_replayed_recording(run, drawn, tmp_path):
     args = ("--driver", f"replay:{drawn}", "--count", "3", "--interval", "0.1", "--settle", "0.1")
     ended = run("capture", out, "--board", "9x6", "--square", "0.06", *args)
     assert ended.status == 0, ended.stderr
+    refused = run("capture", tmp_path / "other", *args, "--sync", "C9")
+    assert refused.status == 2 and "--sync C9: one of the cameras C1, C2 needed" in refused.stderr
     recording, source = open_recording(out), open_recording(drawn)
     assert len(recording.frames) == 3 and recording.cameras["C1"].serial == "drawn-C1"
     originals = {source.color("C1", f).tobytes() for f in source.frames}

@@ -58,6 +58,8 @@ class CaptureParams:
     append: bool = False
     auto_exposure: bool = False
     allow_unregistered: bool = False
+    sync_leader: str | None = None
+    """The camera that gives the pulse of a synchronisation cable."""
     settle_s: float = 2.0
     give_up_s: float = 15.0
     preview: tuple[str, int] | None = None
@@ -117,6 +119,8 @@ class _Session:
         self._found = find_cameras(runtime)
         self._log = CaptureLog(params.out, " ".join(sys.argv), f"rgbd-calib {version('rgbd-calib')}")
         self._cameras = self._found.assign(params.devices, self._log.identities())
+        if params.sync_leader is not None and params.sync_leader not in self._cameras:
+            raise ConfigError(f"--sync {params.sync_leader}: one of the cameras {', '.join(self._cameras)} needed")
         recording.identify({camera: identity.serial for camera, identity in self._cameras.items()})
         self._guide = Guide(tuple(self._cameras), recording.board, params.coverage)
         self._tally = Tally()
@@ -134,6 +138,7 @@ class _Session:
             lock_exposure=not params.auto_exposure,
             keep_depth=max(2, params.depth.frames + 4),
             allow_unregistered=params.allow_unregistered,
+            sync_leader=params.sync_leader,
         )
         status: Status = "complete"
         message: str | None = None

@@ -38,6 +38,9 @@ from rgbd_calib.errors import ConfigError
     metavar="ID=SERIAL",
     help="Record this camera (repeat); serial, USB path or uri.  [default: all]",
 )
+@click.option(
+    "--sync", metavar="ID", help="Cameras are joined by a synchronisation cable: this one gives the pulse (RealSense)."
+)
 @driver_option
 @redist_option
 @click.option("--append", is_flag=True, help="Go on with a recording.")
@@ -74,6 +77,7 @@ def command(
     alternate_emitters: bool,
     auto_exposure: bool,
     devices: tuple[str, ...],
+    sync: str | None,
     drivers: tuple[str, ...],
     redist: Path | None,
     append: bool,
@@ -131,6 +135,7 @@ def command(
         append,
         auto_exposure,
         allow_unregistered,
+        sync,
         settle,
         give_up,
         _parse_address(preview),

@@ -60,6 +60,9 @@ class Device(Protocol):
     def configure(self, allow_unregistered: bool = False) -> DeviceSettings:
         """Choose modes and set them; CalibrationError where the device refuses what a calibration needs."""
 
+    def set_sync(self, leads: bool) -> bool:
+        """Before the start: give or follow the pulse of a cable that joins the cameras; False where there is no such mode."""
+
     def describe(self) -> CameraInfo:
         """Of a configured device: sizes, unit of depth, and the geometry as far as the device states it."""
 

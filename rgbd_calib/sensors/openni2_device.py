@@ -110,6 +110,9 @@ class Device:
                 )
         return settings
 
+    def set_sync(self, leads: bool) -> bool:
+        return False
+
     def describe(self) -> CameraInfo:
         """Sizes and the unit of depth; it states no lens."""
         own = None if self._registered else DepthGeometry(WIDTH, HEIGHT)

@@ -24,6 +24,8 @@ from rgbd_calib.sensors.frames import Kind, SensorFrame
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
 _PREFIX = "realsense:"
+_LEADS, _FOLLOWS = 1.0, 2.0
+"""RS2_OPTION_INTER_CAM_SYNC_MODE: master, slave."""
 _QUEUE = 32
 """Frames of both streams that wait for the reader: half a second."""
 
@@ -161,6 +163,14 @@ class RealSenseDevice:
             False,
             *fov,
         )
+
+    def set_sync(self, leads: bool) -> bool:
+        sensor, mode = self._sensors["depth"], self._binding.option.inter_cam_sync_mode
+        try:
+            sensor.set_option(mode, _LEADS if leads else _FOLLOWS)
+            return bool(sensor.get_option(mode) == (_LEADS if leads else _FOLLOWS))
+        except RuntimeError:  # a camera without the mode
+            return False
 
     def describe(self) -> CameraInfo:
         color, depth = (self._profiles[kind].as_video_stream_profile() for kind in ("color", "depth"))

@@ -105,6 +105,9 @@ class ReplayedCamera:
             *fov,
         )
 
+    def set_sync(self, leads: bool) -> bool:
+        return False
+
     def describe(self) -> CameraInfo:
         return self._info
 

@@ -52,6 +52,8 @@ class Rig:
         {camera id: device to open}.
     listener
         Told in words of everything that goes wrong or right again, from a thread of the rig's own.
+    sync_leader
+        The camera that gives the pulse of a synchronisation cable; the others follow. None: all run freely.
     settle_s
         How long exposure and white balance may settle before they are locked.
     """
@@ -66,6 +68,7 @@ class Rig:
         lock_exposure: bool = True,
         keep_depth: int = 1,
         allow_unregistered: bool = False,
+        sync_leader: str | None = None,
     ) -> None:
         self._runtime = runtime
         self._listener = listener
@@ -73,6 +76,7 @@ class Rig:
         self._lock_exposure = lock_exposure
         self._keep_depth = keep_depth
         self._allow_unregistered = allow_unregistered
+        self._sync_leader = sync_leader
         self._fresh = threading.Condition()
         self._seats: dict[str, _Seat] = {}
         self._stop = threading.Event()
@@ -154,11 +158,17 @@ class Rig:
 
     def _seat(self, camera: str, identity: Identity) -> _Seat:
         device = self._runtime.open(identity.uri)
-        settings = device.configure(self._allow_unregistered)
+        settings = self._set_up(camera, device)
         reader = DeviceReader(camera, device, self._fresh, self._keep_depth)
         device.start()
         reader.start()
         return _Seat(identity, device, settings, reader)
+
+    def _set_up(self, camera: str, device: Device) -> DeviceSettings:
+        settings = device.configure(self._allow_unregistered)
+        if self._sync_leader is not None and not device.set_sync(camera == self._sync_leader):
+            self._listener(camera, "has no hardware synchronisation; it runs freely")
+        return settings
 
     def _settle(self) -> None:
         """Wait for the first frames of all, let the exposure settle, lock it, and check the frame rates."""
@@ -238,7 +248,7 @@ class Rig:
             if Identity(uri, device.serial, device.usb_path).key != seat.identity.key:
                 device.close()
                 return False
-            settings = device.configure(self._allow_unregistered)
+            settings = self._set_up(camera, device)
             reader = DeviceReader(camera, device, self._fresh, self._keep_depth)
             device.start()
             reader.start()
