@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -15,7 +16,9 @@ from rgbd_calib.geometry.depth_sensor import DepthSensor as DepthSensor
 from rgbd_calib.geometry.so3 import FloatArray
 
 IntArray = np.ndarray
-BoardType = Literal["checkerboard", "charuco"]
+APRILGRID_TAGS = "DICT_APRILTAG_36h11"
+"""Of Kalibr's boards, and taken where no other is stated."""
+BoardType = Literal["checkerboard", "charuco", "aprilgrid"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +42,9 @@ class Board:
     looks at the front; the origin is corner (0, 0). Corner (c, r) has the number r * cols + c. On a two-sided board,
     corner (c, r) of the front lies behind corner (cols - 1 - c, r) of the back, `thickness_m` away; the back's plane
     is z = thickness_m.
+
+    The corners of an AprilGrid (Kalibr's) are those of its tags: cols / 2 x rows / 2 tags of side `marker_m`, whose corners
+    (0, 0) are 2 `square_m` apart.
     """
 
     cols: int
@@ -48,9 +54,9 @@ class Board:
     thickness_m: float = 0.0
     type: BoardType = "checkerboard"
     marker_m: float = 0.0
-    """Side of a ChArUco marker; 0 for a checkerboard."""
+    """Side of a ChArUco marker or an AprilGrid's tag; 0 for a checkerboard."""
     dictionary: str = ""
-    """Name of the ChArUco dictionary as cv2.aruco spells it, as DICT_5X5_250; empty for a checkerboard."""
+    """Name of the markers' dictionary as cv2.aruco spells it, as DICT_5X5_250; empty for a checkerboard."""
     legacy: bool = False
     """A ChArUco board in the layout before OpenCV 4.6, where an even number of rows of squares begins with white."""
     shape: BoardShape | None = None
@@ -59,6 +65,16 @@ class Board:
     @property
     def n_corners(self) -> int:
         return self.cols * self.rows
+
+    @cached_property
+    def grid(self) -> FloatArray:
+        """Places (cols * rows, 2) of the front's corners as it was designed, in squares along columns and rows."""
+        r, c = np.divmod(np.arange(self.n_corners), self.cols)
+        places = np.stack([c, r], axis=1).astype(float)
+        if self.type == "aprilgrid":
+            places += (places % 2) * (self.marker_m / self.square_m - 1)
+        places.flags.writeable = False
+        return places
 
     @property
     def symmetric(self) -> bool:
@@ -70,7 +86,7 @@ class Board:
 
         All of these motions commute and are their own inverses.
         """
-        width, height = (self.cols - 1) * self.square_m, (self.rows - 1) * self.square_m
+        width, height = self.grid[-1] * self.square_m
         T = np.eye(4)
         if turned:
             T = np.array([[-1.0, 0, 0, width], [0, -1, 0, height], [0, 0, 1, 0], [0, 0, 0, 1]]) @ T
@@ -85,11 +101,8 @@ class Board:
             of_face = self.shape.back_m if back else self.shape.front_m
             if of_face is not None:
                 return of_face[r * self.cols + (self.cols - 1 - c if back else c)]
-        if back:
-            return np.stack(
-                [(self.cols - 1 - c) * self.square_m, r * self.square_m, np.full(len(c), self.thickness_m)], 1
-            )
-        return np.stack([c * self.square_m, r * self.square_m, np.zeros(len(c))], axis=1)
+        places = self.grid[r * self.cols + (self.cols - 1 - c if back else c)] * self.square_m
+        return np.column_stack([places, np.full(len(c), self.thickness_m if back else 0.0)])
 
 
 @dataclass(frozen=True)

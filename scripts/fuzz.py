@@ -20,7 +20,19 @@ import click
 
 SEEDS = Path(__file__).parents[1] / "tests" / "fuzz_seeds"
 PER_EXAMPLE = 100
-BY_BYTES = ("YAML bytes", "images", "ROS 1 bag", "MCAP", "ROS 2 db3")
+BY_BYTES = (
+    "YAML bytes",
+    "images",
+    "ROS 1 bag",
+    "MCAP",
+    "ROS 2 db3",
+    "RealSense db3",
+    "Orbbec bag",
+    "calibrations",
+    "scene_camera.json",
+    "videos",
+    "imported images",
+)
 BY_STRUCTURE = (
     "dataset.yaml",
     "rig.yaml",

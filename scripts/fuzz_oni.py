@@ -43,7 +43,7 @@ def main(recording: Path, inputs: int, seed: int, save: Path | None, as_json: bo
     def read(data: bytes) -> object:
         path.write_bytes(data)
         source = OniFile(path, "C1", redist)
-        return source.stamps(), sum(1 for _ in source.pictures())
+        return source.stamps(), sum(1 for _ in source.pictures(lambda *picture: True))
 
     parser = Fed("oni", read, (whole,))
     records = [at for at in range(len(whole)) if whole.startswith(RECORD, at)]

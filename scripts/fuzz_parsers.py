@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import io
+import json
 import resource
 import shutil
 import signal
@@ -23,11 +24,19 @@ import cv2
 import numpy as np
 
 from rgbd_calib.errors import RgbdCalibError
-from rgbd_calib.io import correspondences, residuals, rig
+from rgbd_calib.io import correspondences, exports, residuals, rig
+from rgbd_calib.io.calibrations import read_calibration
 from rgbd_calib.io.capture_log import CaptureLog
+from rgbd_calib.io.exports.common import Options
 from rgbd_calib.io.files import dump_yaml, load_yaml
+from rgbd_calib.io.foreign.bop import BopScene
+from rgbd_calib.io.foreign.orbbec import OrbbecBag
+from rgbd_calib.io.foreign.pictures import read_picture
+from rgbd_calib.io.foreign.realsense import RealSenseBag
 from rgbd_calib.io.foreign.ros import RosBag
+from rgbd_calib.io.foreign.source import Source
 from rgbd_calib.io.foreign.tum import TumFolder
+from rgbd_calib.io.foreign.videos import Videos
 from rgbd_calib.io.images import decode_image
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.pipeline.config import as_plain, load_config
@@ -207,7 +216,7 @@ def parsers(folder: Path) -> dict[str, Parser]:
 
     def tum(path: Path) -> object:
         source = TumFolder(path.parent, "C1")
-        return source.stamps(), list(source.pictures())
+        return source.stamps(), list(source.pictures(everything))
 
     yaml_readers: dict[str, tuple[dict[str, Any], Path, Callable[[Path], object]]] = {
         "dataset.yaml": (DATASET, recording / "dataset.yaml", all_of_recording),
@@ -235,7 +244,124 @@ def parsers(folder: Path) -> dict[str, Parser]:
     bytes_of_yaml = tuple(dump_yaml(tree).encode() for tree in (DATASET, CAPTURE)) + (b"a: &a {b: 1}\nc: {<<: *a}\n",)
     made.append(Parser("YAML bytes", from_file(others / "any.yaml", load_yaml), bytes_of_yaml))
     made.append(Parser("images", lambda data: decode_image(data, "image"), image_seeds()))
+    made += [_calibrations(others), _bop(folder / "bop"), _videos(folder), _imported_images(folder)]
     return {parser.name: parser for parser in made} | _bag_parsers(folder)
+
+
+def everything(*picture: object) -> bool:
+    """All pictures are wanted."""
+    return True
+
+
+def all_of(source: Source) -> object:
+    """Everything that a source gives."""
+    return source.cameras, source.stamps(), source.stems(), list(source.pictures(everything))
+
+
+_STARTS = ((b"{", ".json"), (b"<", ".xml"), (b"[", ".toml"))
+
+
+def _calibrations(folder: Path) -> Parser:
+    """Calibrations as this program exports them, and as others write them; the suffix by the first bytes."""
+    path = folder / "rig.yaml"
+    path.write_text(dump_yaml(RIG))
+    known = rig.read_rig(path)
+    seeds = [
+        exports.export(known, to, Options(suffix=suffix)).files[""]
+        for to, suffix in (
+            ("kalibr", ""),
+            ("nerfstudio", ""),
+            ("open3d", ""),
+            *(("opencv", s) for s in (".yml", ".xml", ".json")),
+        )
+    ]
+    seeds.append(exports.export(known, "ros", Options()).files["C1.yaml"])
+    seeds.append(
+        "[cameras.0]\nsize = [8, 6]\nmatrix = [[9.0, 0, 3.5], [0, 9.0, 2.5], [0, 0, 1]]\ndistortions = [0.1, 0, 0, 0, 0]\n"
+        "rotation = [0.1, 0, 0]\ntranslation = [0, 0, 1.0]\n"
+    )
+    own = {
+        "width": 8,
+        "height": 6,
+        "fx": 9.0,
+        "fy": 9.0,
+        "ppx": 3.5,
+        "ppy": 2.5,
+        "model": "Inverse Brown Conrady",
+        "coeffs": [0.01, 0, 0, 0, 0],
+    }
+    seeds.append(json.dumps({"color": {"intrinsics": own}}))
+    seeds.append(
+        "{ 'lensmodel': 'LENSMODEL_OPENCV4', 'extrinsics': [0, 0, 0, 0, 0, 0], 'intrinsics': [9, 9, 3.5, 2.5, 0, 0, 0, 0], 'imagersize': [8, 6], }"
+    )
+
+    def read(data: bytes) -> object:
+        suffix = next((s for start, s in _STARTS if data.startswith(start)), ".yaml")
+        if data.startswith(b"{ 'lens"):
+            suffix = ".cameramodel"
+        target = folder / f"calibration{suffix}"
+        target.write_bytes(data)
+        return read_calibration(target, (8, 6))
+
+    return Parser("calibrations", read, tuple(text.encode() for text in seeds))
+
+
+def _bop(folder: Path) -> Parser:
+    for kind, image in (("rgb", np.zeros((6, 8, 3), np.uint8)), ("depth", np.full((6, 8), 900, np.uint16))):
+        (folder / kind).mkdir(parents=True)
+        cv2.imwrite(str(folder / kind / "000000.png"), image)
+
+    def read(data: bytes) -> object:
+        (folder / "scene_camera.json").write_bytes(data)
+        return all_of(BopScene(folder, "C1"))
+
+    entry = {"cam_K": [9.0, 0, 3.5, 0, 9.0, 2.5, 0, 0, 1], "depth_scale": 0.1}
+    return Parser("scene_camera.json", read, (json.dumps({"0": entry}).encode(),))
+
+
+def _videos(folder: Path) -> Parser:
+    import av
+
+    seeds = []
+    for name, codec, pixels in (
+        ("a.mkv", "ffv1", "bgr0"),
+        ("a.mp4", "mpeg4", "yuv420p"),
+        ("d.mkv", "ffv1", "gray16le"),
+    ):
+        path = folder / name
+        with av.open(str(path), "w") as file:
+            stream: Any = file.add_stream(codec, rate=30)
+            stream.width, stream.height, stream.pix_fmt = 32, 16, pixels
+            for i in range(2):
+                grey = pixels == "gray16le"
+                image = np.full((16, 32), 900 + i, np.uint16) if grey else np.full((16, 32, 3), 50 * i, np.uint8)
+                file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format=pixels if grey else "bgr24")))
+            file.mux(stream.encode())
+        seeds.append(path.read_bytes())
+        path.unlink()
+
+    def read(data: bytes) -> object:
+        path = folder / ("fuzzed.mkv" if data.startswith(b"\x1a\x45") else "fuzzed.mp4")
+        path.write_bytes(data)
+        return all_of(Videos(path, "C1"))
+
+    return Parser("videos", read, tuple(seeds[:2]))
+
+
+def _imported_images(folder: Path) -> Parser:
+    import OpenEXR
+
+    np.savez(folder / "a.npz", depth=np.full((6, 8), 900, np.uint16))
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"Z": np.full((6, 8), 0.9, np.float32)}).write(str(folder / "a.exr"))
+    seeds = tuple((folder / name).read_bytes() for name in ("a.npz", "a.exr"))
+
+    def read(data: bytes) -> object:
+        path = folder / ("fuzzed.npz" if data.startswith(b"PK") else "fuzzed.exr")
+        path.write_bytes(data)
+        return read_picture(path, "depth")
+
+    return Parser("imported images", read, seeds)
 
 
 def csv_bytes(table: list[list[str]]) -> bytes:
@@ -290,10 +416,78 @@ def _bag_parsers(folder: Path) -> dict[str, Parser]:
         def read(data: bytes, path: Path = path) -> object:
             path.write_bytes(data)
             source = RosBag(path)
-            return source.stamps(), list(source.pictures())
+            return source.stamps(), list(source.pictures(everything))
 
         made[kind] = Parser(kind, read, (seed,))
+    for kind, suffix, reader in (("RealSense db3", "db3", RealSenseBag), ("Orbbec bag", "bag", OrbbecBag)):
+        seed, path = _makers_bag(folder / f"maker_{suffix}", suffix), folder / f"maker.{suffix}"
+
+        def read_maker(data: bytes, path: Path = path, reader: Any = reader) -> object:
+            path.write_bytes(data)
+            return all_of(reader(path, "C1"))
+
+        made[kind] = Parser(kind, read_maker, (seed,))
     return made
+
+
+def _makers_bag(folder: Path, suffix: str) -> bytes:
+    """A recording of librealsense (.db3) or the Orbbec SDK (.bag), as far as its reader looks."""
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if suffix == "bag" else Stores.ROS2_HUMBLE)
+    store.register(
+        get_types_from_msg(
+            "float32[] cameraIntrinsic\nfloat32[] cameraDistortion\nuint8 distortionModel\nuint16 width\nuint16 height\n"
+            "float32[] rotationMatrix\nfloat32[] translationMatrix\n",
+            "custom_msg/msg/StreamProfileInfo",
+        )
+    )
+    types: Any = store.types
+    path = folder.with_suffix(".bag") if suffix == "bag" else folder
+    writer: Any = Writer1(path) if suffix == "bag" else Writer2(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
+    serialize = store.serialize_ros1 if suffix == "bag" else store.serialize_cdr
+    more = {"seq": 0} if suffix == "bag" else {}
+    header = types["std_msgs/msg/Header"](stamp=types["builtin_interfaces/msg/Time"](1, 2), frame_id="", **more)
+
+    def image(encoding: str, *shape: int) -> Any:
+        data = np.arange(np.prod(shape), dtype=np.uint8)
+        return types["sensor_msgs/msg/Image"](header, *shape[:2], encoding, 0, data.size // shape[0], data)
+
+    def text(value: str) -> Any:
+        return types["std_msgs/msg/String"](value)
+
+    if suffix == "bag":
+        lens = np.array([9, 9, 3.5, 2.5], np.float32)
+        profile = types["custom_msg/msg/StreamProfileInfo"](
+            lens, np.zeros(8, np.float32), 4, 8, 6, np.eye(3, dtype=np.float32).ravel(), np.zeros(3, np.float32)
+        )
+        messages = [(f"/cam/streamProfileType_{n}", profile) for n in (2, 3)]
+        messages += [
+            ("/cam/sensor_2/frameType_2", image("bgr8", 6, 8, 3)),
+            ("/cam/sensor_3/frameType_3", image("mono16", 6, 8, 2)),
+        ]
+    else:
+        lens = "width=8;height=6;fx=9;fy=9;ppx=3.5;ppy=2.5;model=2;coeffs=0.1,0,0,0,0"
+        messages = [("/device_0/info", text("Serial Number=0001"))]
+        for n, (name, encoding, size) in enumerate((("Depth", "mono16", 2), ("Color", "rgb8", 3))):
+            base = f"/device_0/sensor_{n}/{name}_0"
+            messages += [
+                (f"{base}/camera_info", text(lens.replace("model=2", "model=Brown Conrady"))),
+                (f"{base}/tf/0", text("rotation=1,0,0,0,1,0,0,0,1;translation=0.01,0,0")),
+                (f"{base}/image/data", image(encoding, 6, 8, size)),
+                (f"{base}/image/metadata", text("timestamp_domain=Hardware Clock")),
+            ]
+        messages.append(("/device_0/sensor_0/option/Depth_Units/value", types["std_msgs/msg/Float32"](0.001)))
+    with writer:
+        for topic, message in messages:
+            connection = writer.add_connection(topic, message.__msgtype__, typestore=store)
+            writer.write(connection, 1_000_000_002, serialize(message, message.__msgtype__))
+    data = path.read_bytes() if suffix == "bag" else next(path.glob("*.db3")).read_bytes()
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    return data
 
 
 def _bag(folder: Path, suffix: str) -> bytes:

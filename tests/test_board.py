@@ -10,14 +10,16 @@ import yaml
 from PIL import Image
 
 from rgbd_calib.errors import ConfigError
-from rgbd_calib.io.drawings import write_pdf, write_svg
+from rgbd_calib.io.drawings import Line, Text, write_pdf, write_svg
 from rgbd_calib.io.schema_parts import BoardModel
-from rgbd_calib.report import board_sheet, charuco
-from rgbd_calib.types import Board, BoardShape
+from rgbd_calib.report import board_sheet, board_tiles, charuco
+from rgbd_calib.types import APRILGRID_TAGS, Board, BoardShape
+from rgbd_calib.views.detect import find_corners
 
 PX_PER_MM = 4.0
 BOARD = Board(8, 5, 0.03)
 CHARUCO = Board(8, 5, 0.03, type="charuco", marker_m=0.022, dictionary="DICT_5X5_250")
+APRILGRID = Board(12, 8, 0.0195, type="aprilgrid", marker_m=0.03, dictionary=APRILGRID_TAGS)
 
 
 def pdf_pages(path):
@@ -47,6 +49,9 @@ def found_mm(image, board, page):
         corners, ids, _, _ = cv2.aruco.CharucoDetector(layout).detectBoard(image)
         assert np.array_equal(ids.ravel(), np.arange(board.n_corners))
         corners = corners.reshape(-1, 2)
+    elif board.type == "aprilgrid":
+        ids, corners = find_corners(image, board)
+        assert np.array_equal(ids, np.arange(board.n_corners))
     else:
         ok, corners = cv2.findChessboardCornersSB(image, (board.cols, board.rows))
         assert ok
@@ -63,7 +68,7 @@ def expected_mm(board, page):
 TOLERANCE_MM = 0.2 / PX_PER_MM
 
 
-@pytest.mark.parametrize("board", [BOARD, CHARUCO], ids=["checkerboard", "charuco"])
+@pytest.mark.parametrize("board", [BOARD, CHARUCO, APRILGRID], ids=["checkerboard", "charuco", "aprilgrid"])
 @pytest.mark.parametrize("suffix", [".pdf", ".svg"])
 def test_detected_at_true_scale(tmp_path, board, suffix):
     page = board_sheet.page_mm(board, "auto")
@@ -81,7 +86,9 @@ def test_detected_at_true_scale(tmp_path, board, suffix):
     assert np.abs(found_mm(image, board, page) - expected_mm(board, page)).max() < TOLERANCE_MM
 
 
-@pytest.mark.parametrize("board", [BOARD, replace(CHARUCO, cols=7)], ids=["checkerboard", "charuco"])
+@pytest.mark.parametrize(
+    "board", [BOARD, replace(CHARUCO, cols=7), APRILGRID], ids=["checkerboard", "charuco", "aprilgrid"]
+)
 def test_corners_of_both_faces_coincide_through_the_board(tmp_path, board):
     board = replace(board, two_sided=True, thickness_m=0.006)
     page = board_sheet.page_mm(board, "A2")
@@ -122,6 +129,56 @@ def test_charuco_cells_are_those_of_opencv():
         assert np.allclose(corner_m[:2], np.array([i, j]) * 0.03 + 0.004, atol=1e-6) and (i + j) % 2 == 1
 
 
+@pytest.mark.parametrize("board", [replace(BOARD, square_m=0.06), replace(APRILGRID, square_m=0.039, marker_m=0.06)])
+def test_pages_joined_along_their_marks_are_the_board(tmp_path, board):
+    sheets = board_tiles.tiles(board, "A4")
+    assert 4 <= len(sheets) <= 9 and len({(sheet.width, sheet.height) for sheet in sheets}) == 1
+    write_pdf(tmp_path / "board.pdf", sheets, "a board")
+    pages, _ = pdf_pages(tmp_path / "board.pdf")
+    rows: dict[int, list[np.ndarray]] = {}
+    for page, sheet in zip(pages, sheets, strict=True):
+        lines = [shape for shape in sheet.shapes if isinstance(shape, Line)][:8]  # the marks, before the ruler
+        x0, x1 = sorted({line.x1 for line in lines if line.x1 == line.x2})
+        y0, y1 = sorted({line.y1 for line in lines if line.y1 == line.y2})
+        row = int(
+            next(shape.text for shape in sheet.shapes if isinstance(shape, Text) and "row" in shape.text).split()[2]
+        )
+        part = page[round(y0 * PX_PER_MM) : round(y1 * PX_PER_MM), round(x0 * PX_PER_MM) : round(x1 * PX_PER_MM)]
+        rows.setdefault(row, []).append(part)
+    whole = np.concatenate([np.concatenate(row, axis=1) for row in rows.values()])
+    ids, corners_px = find_corners(whole, board)
+    assert np.array_equal(np.sort(ids), np.arange(board.n_corners))
+    # each cut is rounded to a pixel: half a pixel from page to page
+    apart = np.linalg.norm(corners_px - corners_px[0], axis=1) / PX_PER_MM
+    true = np.linalg.norm(board.corners_m()[ids] - board.corners_m()[ids[0]], axis=1) * 1000
+    assert np.abs(apart - true).max() < np.hypot(len(rows[1]), len(rows)) / PX_PER_MM
+    two = board_tiles.tiles(replace(board, two_sided=True, thickness_m=0.005), "a4")
+    assert len(two) == 2 * len(sheets)
+
+
+def test_what_a_printer_shrank_is_drawn_larger(run, tmp_path):
+    """The second print, shrunk as the first was, is true."""
+    page = board_sheet.page_mm(BOARD, "auto")
+    shrunk = np.array([0.996, 0.999])
+    measured = (np.array([7, 4]) * 30 * shrunk).tolist()
+    factors = board_tiles.scale_of(BOARD, "{:.3f}x{:.3f}".format(*measured))
+    (sheet,) = (board_tiles.scaled(sheet, factors) for sheet in board_sheet.sheets(BOARD, page))
+    write_pdf(tmp_path / "board.pdf", (sheet,), "a board")
+    found = found_mm(pdf_pages(tmp_path / "board.pdf")[0][0], BOARD, page)
+    middle = np.array(page) / 2
+    assert np.abs(middle + (found - middle) * shrunk - expected_mm(BOARD, page)).max() < TOLERANCE_MM
+    args = ("board", "--cols", "8", "--rows", "5", "--square", "0.03", "-o", tmp_path / "a.pdf")
+    assert (
+        "scaled by 1.0029 along the columns and 1.0042 along the rows"
+        in run(*args, "--measured", "209.4x119.5", "--tile", "A4").stderr
+    )
+    for text in ("240x150", "209.4", "nanx120"):
+        refused = run(*args, "--measured", text)
+        assert refused.status == 2 and "near 210x120" in refused.stderr
+    for more in (("--tile", "letter"), ("--tile", "A4", "--page", "A3")):
+        assert run(*args, *more).status == 2
+
+
 def test_pages():
     assert board_sheet.page_mm(Board(9, 6, 0.022), "auto") == (297.0, 210.0)
     assert board_sheet.page_mm(Board(9, 6, 0.060), "a0") == (841.0, 1189.0)
@@ -132,7 +189,7 @@ def test_pages():
         board_sheet.page_mm(BOARD, "letter")
 
 
-@pytest.mark.parametrize("board", [BOARD, CHARUCO, replace(BOARD, two_sided=True, thickness_m=0.0055)])
+@pytest.mark.parametrize("board", [BOARD, CHARUCO, APRILGRID, replace(BOARD, two_sided=True, thickness_m=0.0055)])
 def test_printed_numbers_are_those_of_dataset_yaml(board):
     entry = yaml.safe_load(board_sheet.numbers(board))["board"]
     assert BoardModel.model_validate(entry).value() == board

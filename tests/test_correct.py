@@ -9,6 +9,7 @@ import pytest
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics, project, unproject
+from rgbd_calib.io.files import dump_yaml, load_yaml
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_rig, write_rig
 from rgbd_calib.pipeline.correct import correct_depth, undistort_map
@@ -37,6 +38,31 @@ def test_depth_is_what_the_bias_says_to_half_a_unit(run, tiny, tmp_path):
         for frame, path in files.items():
             assert after.color_files[camera][frame].read_bytes() == path.read_bytes()
         assert after.cameras[camera].intrinsics == tiny.rig.cameras[camera].intrinsics
+
+
+def test_floating_point_depth_becomes_millimetres(run, tiny, tmp_path):
+    """Of a recording whose depth is TIFF in metres: its unit of 1 m would be too coarse for 16 bits."""
+    folder = tmp_path / "recording"
+    shutil.copytree(tiny.recording, folder)
+    original = open_recording(tiny.recording)
+    for camera in ("C1", "C2"):
+        for frame, path in open_recording(folder).depth_files[camera].items():
+            depth_m = np.nan_to_num(original.depth_m(camera, frame)).astype(np.float32)
+            cv2.imwrite(str(path.with_suffix(".tiff")), depth_m)
+            path.unlink()
+    data = load_yaml(folder / "dataset.yaml")
+    data.pop("depth_scale", None)
+    for camera in ("C1", "C2"):
+        data["cameras"][camera].pop("depth_scale", None)
+        data["cameras"][camera]["depth"] = {"scale_m": 1.0}
+    (folder / "dataset.yaml").write_text(dump_yaml(data))
+    outcome = run("correct", folder, "--rig", tiny.rig_path, "-o", tmp_path / "out")
+    assert outcome.status == 0, outcome.stderr
+    after = open_recording(tmp_path / "out")
+    assert after.cameras["C1"].depth_scale == 0.001
+    wanted_m = tiny.rig.cameras["C1"].depth_bias.correct(original.depth_m("C1", "000000"))
+    # rounded to millimetres before and after the correction
+    assert np.nanmax(np.abs(after.depth_m("C1", "000000") - wanted_m)) <= 0.0011
 
 
 def test_the_rig_beside_it_gives_the_same_cloud(run, tiny, tmp_path):

@@ -14,8 +14,10 @@ import yaml
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics, project, rays
+from rgbd_calib.geometry.lens_fit import image_grid
 from rgbd_calib.io import exports
-from rgbd_calib.io.exports.common import Options, reach_px
+from rgbd_calib.io.calibrations import read_calibration
+from rgbd_calib.io.exports.common import Options
 from rgbd_calib.io.rig import read_rig, write_rig
 from rgbd_calib.types import DepthBias, Rig, RigCamera
 
@@ -211,19 +213,39 @@ def test_every_format_takes_one_camera_and_many(tmp_path, to, n):
     assert path.exists()
 
 
-@pytest.mark.parametrize(("to", "lost"), [("kalibr", "k3"), ("open3d", "k1, k2, p1, p2, k3")])
-def test_a_lens_that_the_format_cannot_carry_stops_the_export(to, lost):
-    with pytest.raises(ConfigError, match=f"C0: distortion {lost} seen.*px.*--undistorted"):
-        exports.export(a_rig(), to, Options())
-    assert exports.export(a_rig(), to, Options(undistorted=True)).files[""]
+@pytest.mark.parametrize(("to", "nearest"), [("kalibr", "radtan|equidistant"), ("open3d", "a pinhole")])
+def test_a_lens_that_is_like_none_of_the_format_stops_the_export(to, nearest):
+    rig = strong_rig()
+    needle = (
+        f"C0: lens opencv with k1, k2, p1, p2, k3 seen, .* its nearest, ({nearest}), is off by .* px.*--undistorted"
+    )
+    with pytest.raises(ConfigError, match=needle):
+        exports.export(rig, to, Options())
+    assert exports.export(rig, to, Options(undistorted=True)).files[""]
 
 
-def test_reach_of_a_lens_is_how_far_the_corner_moves():
-    lens = Intrinsics(101, 101, 100.0, 100.0, 50.0, 50.0, (0.1, 0.0, 0.0, 0.0, 0.0))
-    # the corner pixel is at x_d = y_d = 0.5 = x (1 + 0.1 * 2 x^2): solve for x, the pinhole's pixel
-    x = min(r.real for r in np.roots([0.2, 0, 1, -0.5]) if abs(r.imag) < 1e-12)
-    assert reach_px(lens) == pytest.approx(100 * (0.5 - x) * np.sqrt(2), rel=1e-9)
-    assert reach_px(lens, (True,) * 5) == pytest.approx(0, abs=1e-9)
+def strong_rig():
+    """Lenses far from those of Kalibr."""
+    rig = a_rig()
+    lens = replace(LENS, distortion=(0.2, -0.5, 0.003, -0.002, 0.4))
+    return replace(rig, cameras={name: replace(c, intrinsics=lens) for name, c in rig.cameras.items()})
+
+
+@pytest.mark.parametrize("to", ["kalibr", "open3d"])
+def test_a_refitted_lens_is_off_by_what_is_said(to, tmp_path):
+    rig = a_rig() if to == "kalibr" else strong_rig()
+    largest = 0.3 if to == "kalibr" else 100
+    made = exports.export(rig, to, Options(max_px=largest))
+    noted = [float(note.split("off by ")[1].split(" px")[0]) for note in made.notes if "refitted" in note]
+    assert len(noted) == 4
+    path = exported(rig, to, tmp_path / ("out.yaml" if to == "kalibr" else "out.json"), max_px=largest)
+    found = [camera.intrinsics for camera in read_calibration(path).cameras.values()]
+    order = ["C1", "C0", "C2", "C3"] if to == "kalibr" else list(rig.cameras)
+    for name, lens in zip(order, found, strict=True):
+        own = rig.cameras[name].intrinsics
+        pixels = image_grid(own.width, own.height)
+        off = np.linalg.norm(lens.project(own.rays(pixels)) - pixels, axis=1).max()
+        assert off == pytest.approx(noted[list(rig.cameras).index(name)], rel=0.06)  # two digits are said
 
 
 @pytest.mark.parametrize("to", ["ros", "kalibr", "colmap", "nerfstudio", "open3d"])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from virtual_rig import read_raw, system_runtime
 
-from rgbd_calib.io.foreign.source import pair_nearest, plan_frames
+from rgbd_calib.io.foreign.plan import pair_nearest, plan_frames
 from rgbd_calib.io.recording import open_recording
 
 RNG = np.random.default_rng(0)
@@ -159,17 +159,23 @@ def tum_folder(folder: Path, drop_depth: tuple[int, ...] = ()) -> Path:
     return folder
 
 
+TUM_UNIT = "--depth-scale", "0.0002"
+
+
 def test_tum(run, tmp_path):
-    outcome = run("import", tum_folder(tmp_path / "tum"), "-o", tmp_path / "out")
+    asked = run("import", tum_folder(tmp_path / "tum"), "-o", tmp_path / "out")
+    assert asked.status == 2 and "nothing in it says the unit of its depth" in asked.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["tum"]
+    outcome = run("import", tmp_path / "tum", "-o", tmp_path / "out", *TUM_UNIT)
     assert outcome.status == 0, outcome.stderr
     check(tmp_path / "out")
     assert open_recording(tmp_path / "out").cameras["C1"].depth_scale == 1 / 5000
     assert run("import", tmp_path / "tum", "-o", tmp_path / "out").status == 2
-    assert run("import", tmp_path / "tum", "-o", tmp_path / "out", "--overwrite").status == 0
+    assert run("import", tmp_path / "tum", "-o", tmp_path / "out", "--overwrite", *TUM_UNIT).status == 0
 
 
 def test_frames_without_depth_stay_without(run, tmp_path):
-    assert run("import", tum_folder(tmp_path / "tum", (2,)), "-o", tmp_path / "out").status == 0
+    assert run("import", tum_folder(tmp_path / "tum", (2,)), "-o", tmp_path / "out", *TUM_UNIT).status == 0
     recording = open_recording(tmp_path / "out")
     assert len(recording.frames) == N and not recording.has_depth("C1", "000002")
     np.testing.assert_array_equal(read_raw(recording.depth_files["C1"]["000003"]), DEPTH[3])
@@ -178,10 +184,16 @@ def test_frames_without_depth_stay_without(run, tmp_path):
 def test_two_files_are_two_times_unless_they_started_together(run, tmp_path):
     for name in ("a", "b"):
         tum_folder(tmp_path / name)
-    assert run("import", f"left={tmp_path / 'a'}", f"right={tmp_path / 'b'}", "-o", tmp_path / "apart").status == 0
+    assert (
+        run("import", f"left={tmp_path / 'a'}", f"right={tmp_path / 'b'}", "-o", tmp_path / "apart", *TUM_UNIT).status
+        == 0
+    )
     apart = open_recording(tmp_path / "apart")
     assert len(apart.frames) == 2 * N and not set(apart.color_files["left"]) & set(apart.color_files["right"])
-    assert run("import", tmp_path / "a", tmp_path / "b", "--synchronous", "-o", tmp_path / "together").status == 0
+    assert (
+        run("import", tmp_path / "a", tmp_path / "b", "--synchronous", "-o", tmp_path / "together", *TUM_UNIT).status
+        == 0
+    )
     check(tmp_path / "together", ("C1", "C2"))
 
 
@@ -190,12 +202,15 @@ def test_two_files_are_two_times_unless_they_started_together(run, tmp_path):
     [
         (lambda f: (f / "rgb.txt").write_text("one two\n"), "rgb.txt: line 1: 'one two' seen"),
         (lambda f: (f / "rgb" / "3.png").unlink(), "3.png: no such image"),
-        (lambda f: cv2.imwrite(str(f / "depth" / "1.png"), COLOR[0]), "16 bits and one channel needed"),
+        (
+            lambda f: cv2.imwrite(str(f / "depth" / "1.png"), COLOR[0]),
+            "16 bits and one channel, or floating point, needed for depth",
+        ),
     ],
 )
 def test_a_damaged_tum_folder(run, tmp_path, damage, message):
     damage(tum_folder(tmp_path / "tum"))
-    outcome = run("import", tmp_path / "tum", "-o", tmp_path / "out")
+    outcome = run("import", tmp_path / "tum", "-o", tmp_path / "out", *TUM_UNIT)
     assert outcome.status == 2 and message in outcome.stderr and not (tmp_path / "out").exists()
 
 

@@ -106,7 +106,9 @@ def test_tables_of_distances_and_time_stamps(folder):
         folder / "C1" / "timestamps.csv", ("frame", "color_us", "depth_us"), [("000000", 5, ""), ("000001", 7, 8)]
     )
     recording = open_recording(folder)
-    assert recording.distances_m("C1") == {"000000": 0.8, "000001": 1.2}
+    assert recording.distances_m("C1") == {"000000": (0.8, None), "000001": (1.2, None)}
+    write_table(folder / "C1" / "distances.csv", ("frame", "distance_m", "sd_m"), [("000000", 0.8, 0.002)])
+    assert recording.distances_m("C1") == {"000000": (0.8, 0.002)}
     stamps = recording.timestamps_us("C1")
     assert stamps["000000"][0] == 5 and np.isnan(stamps["000000"][1]) and stamps["000001"] == (7, 8)
 

@@ -12,6 +12,7 @@ import pytest
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io import folders
+from rgbd_calib.io.conflicts import refuse_input
 from rgbd_calib.io.files import whole_folder, write_text
 from rgbd_calib.io.folders import MARKER
 
@@ -166,6 +167,14 @@ def test_a_file_of_the_recording_is_not_replaced(run, tiny, tmp_path, part):
         outcome = run("calibrate", tmp_path / "in", "-o", output, "--overwrite")
         assert outcome.status == 2 and "is a part of the input" in outcome.stderr
     assert (tmp_path / "in" / part).read_bytes() == before
+
+
+def test_an_image_of_a_recording_of_another_layout_is_not_replaced(tmp_path):
+    image = tmp_path / "rgb_C1_0001.jpg"
+    image.touch()
+    with pytest.raises(ConfigError, match=r"is a part of the input"):
+        refuse_input(image, [tmp_path])
+    refuse_input(tmp_path / "rgb_C1_0002.jpg", [tmp_path])  # not there: nothing is lost
 
 
 @pytest.mark.parametrize("where", ["in", ".", "linked"])

@@ -239,4 +239,4 @@ def test_command_without_noise(run, tmp_path):
     recording = open_recording(tmp_path / "new" / "depth_bias")
     (frame,) = recording.color_files["C1"]
     # whole millimetres of depth
-    np.testing.assert_allclose(recording.depth_m("C1", frame), recording.distances_m("C1")[frame], atol=0.00051)
+    np.testing.assert_allclose(recording.depth_m("C1", frame), recording.distances_m("C1")[frame][0], atol=0.00051)

@@ -29,7 +29,7 @@ from rgbd_calib.io.capture_log import CaptureLog, Status
 from rgbd_calib.io.growing_recording import GrowingRecording
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.sensors.discover import find_cameras
-from rgbd_calib.sensors.openni2 import Runtime, load_runtime
+from rgbd_calib.sensors.driver import Drivers, load_drivers
 from rgbd_calib.sensors.rig import Rig
 from rgbd_calib.sensors.writer import FrameSetWriter
 from rgbd_calib.types import Board
@@ -52,10 +52,14 @@ class CaptureParams:
     devices: dict[str, str] = field(default_factory=dict)
     """{camera id: serial number, USB path or uri}; empty: all that are attached."""
     distances_m: tuple[float, ...] = ()
+    drivers: tuple[str, ...] = ()
+    """See :func:`load_drivers`; empty: all that are installed."""
     redist: Path | None = None
     append: bool = False
     auto_exposure: bool = False
     allow_unregistered: bool = False
+    sync_leader: str | None = None
+    """The camera that gives the pulse of a synchronisation cable."""
     settle_s: float = 2.0
     give_up_s: float = 15.0
     preview: tuple[str, int] | None = None
@@ -95,7 +99,7 @@ def capture(params: CaptureParams, console: Console, ask: Ask) -> CaptureResult:
         )
     stop = threading.Event()
     with stopping_on_signals(stop):
-        runtime = load_runtime(params.redist)
+        runtime = load_drivers(params.drivers, params.redist)
         try:
             return _Session(params, recording, runtime, stop).run(console, ask)
         finally:
@@ -106,7 +110,7 @@ class _Session:
     """The parts of one capture, and the order in which they start and end."""
 
     def __init__(
-        self, params: CaptureParams, recording: GrowingRecording, runtime: Runtime, stop: threading.Event
+        self, params: CaptureParams, recording: GrowingRecording, runtime: Drivers, stop: threading.Event
     ) -> None:
         self._params = params
         self._recording = recording
@@ -115,6 +119,8 @@ class _Session:
         self._found = find_cameras(runtime)
         self._log = CaptureLog(params.out, " ".join(sys.argv), f"rgbd-calib {version('rgbd-calib')}")
         self._cameras = self._found.assign(params.devices, self._log.identities())
+        if params.sync_leader is not None and params.sync_leader not in self._cameras:
+            raise ConfigError(f"--sync {params.sync_leader}: one of the cameras {', '.join(self._cameras)} needed")
         recording.identify({camera: identity.serial for camera, identity in self._cameras.items()})
         self._guide = Guide(tuple(self._cameras), recording.board, params.coverage)
         self._tally = Tally()
@@ -132,6 +138,7 @@ class _Session:
             lock_exposure=not params.auto_exposure,
             keep_depth=max(2, params.depth.frames + 4),
             allow_unregistered=params.allow_unregistered,
+            sync_leader=params.sync_leader,
         )
         status: Status = "complete"
         message: str | None = None
@@ -161,6 +168,7 @@ class _Session:
     def _record(self, rig: Rig, ask: Ask) -> None:
         params = self._params
         self._log.set(cameras={c: asdict(device) | exposure for c, (device, exposure) in rig.settings().items()})
+        self._recording.describe(rig.describe())
         clock_zero_s = time.monotonic() - (time.time() - self._log.clock_zero_unix_s)
         photographer = Photographer(rig, params.depth, clock_zero_s)
         with ExitStack() as stack:

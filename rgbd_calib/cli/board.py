@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -17,10 +18,19 @@ from rgbd_calib.errors import ConfigError
     "--square", "square_m", type=click.FloatRange(0, min_open=True), required=True, help="Side of a square, metres."
 )
 @click.option(
-    "--type", "kind", type=click.Choice(["checkerboard", "charuco"]), default="checkerboard", show_default=True
+    "--type",
+    "kind",
+    type=click.Choice(["checkerboard", "charuco", "aprilgrid"]),
+    default="checkerboard",
+    show_default=True,
 )
-@click.option("--marker", "marker_m", type=float, help="Side of a ChArUco marker, metres.  [default: 0.75 squares]")
-@click.option("--dictionary", default="DICT_5X5_250", show_default=True, help="ChArUco dictionary, as OpenCV names it.")
+@click.option(
+    "--marker",
+    "marker_m",
+    type=float,
+    help="Side of a marker, metres.  [default: 0.75 squares; AprilGrid: squares / 0.65]",
+)
+@click.option("--dictionary", help="Of the markers, as OpenCV names it.  [default: DICT_5X5_250, DICT_APRILTAG_36h11]")
 @click.option("--two-sided", is_flag=True, help="A second page for the back.")
 @click.option(
     "--thickness",
@@ -32,6 +42,14 @@ from rgbd_calib.errors import ConfigError
 @click.option(
     "--page", default="auto", show_default=True, help="A4 to A0, WIDTHxHEIGHT in mm, or the smallest that fits."
 )
+@click.option(
+    "--tile", metavar="PAGE", help="Over several pages of this size, such as A4, with marks to cut and join (.pdf)."
+)
+@click.option(
+    "--measured",
+    metavar="WIDTHxHEIGHT",
+    help="Size of a first print between its outermost corners, mm, such as 179.4x119.8: drawn again so that it prints true.",
+)
 @output_option("the board, .pdf or .svg")
 @overwrite_option
 def command(
@@ -40,10 +58,12 @@ def command(
     square_m: float,
     kind: str,
     marker_m: float | None,
-    dictionary: str,
+    dictionary: str | None,
     two_sided: bool,
     thickness_m: float,
     page: str,
+    tile: str | None,
+    measured: str | None,
     output: Path,
     overwrite: bool,
 ) -> None:
@@ -57,6 +77,9 @@ def command(
       rgbd-calib board --square 0.022 -o board.pdf                       # fits A4, for close views
       rgbd-calib board --cols 8 --rows 5 --square 0.08 --two-sided --thickness 0.006 -o board.pdf
       rgbd-calib board --type charuco --square 0.04 --marker 0.03 -o board.svg
+      rgbd-calib board --type aprilgrid --cols 12 --rows 8 --square 0.0195 -o board.pdf   # 6 x 4 tags of 30 mm
+      rgbd-calib board --square 0.06 --tile A4 -o board.pdf              # over several sheets of A4
+      rgbd-calib board --square 0.02 --measured 159.4x99.8 -o board.pdf  # the first print came out too small
     """
     if output.suffix.lower() not in (".pdf", ".svg"):
         raise ConfigError(f"{output}: a name that ends in .pdf or .svg is needed. Try {output.with_suffix('.pdf')}")
@@ -66,25 +89,34 @@ def command(
         )
 
     from rgbd_calib.io.drawings import write_pdf, write_svg
-    from rgbd_calib.report import board_sheet, charuco
-    from rgbd_calib.types import Board
+    from rgbd_calib.report import aprilgrid, board_sheet, board_tiles, charuco
+    from rgbd_calib.types import APRILGRID_TAGS, Board
 
-    is_charuco = kind == "charuco"
-    board = Board(
-        cols,
-        rows,
-        square_m,
-        two_sided,
-        thickness_m if two_sided else 0.0,
-        "charuco" if is_charuco else "checkerboard",
-        (round(0.75 * square_m, 4) if marker_m is None else marker_m) if is_charuco else 0.0,
-        dictionary if is_charuco else "",
-    )
-    if is_charuco:
+    board = Board(cols, rows, square_m, two_sided, thickness_m if two_sided else 0.0)
+    if kind == "charuco":
+        marker_m = round(0.75 * square_m, 4) if marker_m is None else marker_m
+        board = replace(board, type="charuco", marker_m=marker_m, dictionary=dictionary or "DICT_5X5_250")
         charuco.check(board)
-    size = board_sheet.page_mm(board, page)
-    sheets = board_sheet.sheets(board, size)
-    title = f"{cols} x {rows} inner corners, squares of {square_m * 1000:g} mm"
+    elif kind == "aprilgrid":
+        marker_m = round(square_m / 0.65, 6) if marker_m is None else marker_m  # Kalibr's usual spacing of 0.3
+        board = replace(board, type="aprilgrid", marker_m=marker_m, dictionary=dictionary or APRILGRID_TAGS)
+        aprilgrid.check(board)
+    if tile is not None:
+        if page != "auto" or output.suffix.lower() != ".pdf":
+            raise ConfigError(
+                "--tile: a .pdf over pages of one size is needed. Leave out --page, and name the output .pdf"
+            )
+        sheets = board_tiles.tiles(board, tile)
+        pages = f"{len(sheets)} pages {tile.upper()}"
+    else:
+        size = board_sheet.page_mm(board, page)
+        sheets = board_sheet.sheets(board, size)
+        pages = f"{size[0]:g} x {size[1]:g} mm"
+    if measured is not None:
+        factors = board_tiles.scale_of(board, measured)
+        sheets = tuple(board_tiles.scaled(sheet, factors) for sheet in sheets)
+        pages += f", scaled by {factors[0]:.4f} along the columns and {factors[1]:.4f} along the rows"
+    title = board_sheet.title(board)
     if output.suffix.lower() == ".pdf":
         targets = [output]
     else:
@@ -97,7 +129,7 @@ def command(
         for path, sheet in zip(targets, sheets, strict=True):
             write_svg(path, sheet, title)
     show(board_sheet.numbers(board))
-    say(f"{' and '.join(map(str, targets))}: {size[0]:g} x {size[1]:g} mm. Print at 100 %, then measure the squares")
+    say(f"{' and '.join(map(str, targets))}: {pages}. Print at 100 %, then measure the squares")
     if two_sided and thickness_m == 0:
         say("Measure the finished board's thickness and correct it in dataset.yaml")
     if board.symmetric:

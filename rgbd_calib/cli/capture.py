@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from rgbd_calib.cli.options import OUTPUT, board_options, redist_option, say
+from rgbd_calib.cli.options import OUTPUT, board_options, driver_option, redist_option, say
 from rgbd_calib.errors import ConfigError
 
 
@@ -38,6 +38,10 @@ from rgbd_calib.errors import ConfigError
     metavar="ID=SERIAL",
     help="Record this camera (repeat); serial, USB path or uri.  [default: all]",
 )
+@click.option(
+    "--sync", metavar="ID", help="Cameras are joined by a synchronisation cable: this one gives the pulse (RealSense)."
+)
+@driver_option
 @redist_option
 @click.option("--append", is_flag=True, help="Go on with a recording.")
 @click.option(
@@ -73,6 +77,8 @@ def command(
     alternate_emitters: bool,
     auto_exposure: bool,
     devices: tuple[str, ...],
+    sync: str | None,
+    drivers: tuple[str, ...],
     redist: Path | None,
     append: bool,
     preview: str | None,
@@ -80,7 +86,7 @@ def command(
     give_up: float,
     allow_unregistered: bool,
 ) -> None:
-    """Record a rig of OpenNI2 cameras (Xtion, Kinect) into the folder OUT.
+    """Record a rig of OpenNI2 (Xtion, Kinect) and RealSense cameras into the folder OUT.
 
     \b
       rgbd-calib capture rig1/extrinsic --board 9x6 --square 0.06 --on-still --until-enough --preview
@@ -124,10 +130,12 @@ def command(
         named_board,  # type: ignore[arg-type]
         parse_devices(devices),
         known_distances,
+        drivers,
         redist,
         append,
         auto_exposure,
         allow_unregistered,
+        sync,
         settle,
         give_up,
         _parse_address(preview),

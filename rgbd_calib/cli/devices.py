@@ -6,28 +6,28 @@ from pathlib import Path
 
 import click
 
-from rgbd_calib.cli.options import redist_option, say, show
+from rgbd_calib.cli.options import driver_option, redist_option, say, show
 
 
 @click.command()
+@driver_option
 @redist_option
 @click.option("--json", "as_json", is_flag=True, help="As JSON, for programs.")
-def command(redist: Path | None, as_json: bool) -> None:
-    """List the cameras that OpenNI2 sees.
+def command(drivers: tuple[str, ...], redist: Path | None, as_json: bool) -> None:
+    """List the cameras that are attached: OpenNI2 (Xtion, Kinect) and RealSense.
 
     For each: its id in `capture`, uri, serial number, USB port, firmware and video modes. Problems, and what to do
     about them, go to stderr; the exit status is 1 where a camera cannot be used, and 2 where there is no runtime or
     no camera.
     """
     from rgbd_calib.errors import CalibrationError, ConfigError
-    from rgbd_calib.sensors.discover import ADVICE_NO_DEVICE, find_cameras
+    from rgbd_calib.sensors.discover import find_cameras
+    from rgbd_calib.sensors.driver import load_drivers
     from rgbd_calib.sensors.identity import assign_cameras
-    from rgbd_calib.sensors.openni2 import load_runtime
 
-    runtime = load_runtime(redist)
+    runtime = load_drivers(drivers, redist)
     try:
         found = find_cameras(runtime)
-        runtime_version = runtime.version
     finally:
         runtime.close()
     names = {identity: camera for camera, identity in assign_cameras([d.identity for d in found.devices], {}).items()}
@@ -51,6 +51,6 @@ def command(redist: Path | None, as_json: bool) -> None:
         say(f"Warning: {warning}")
     problems = [device.problem for device in found.devices if device.problem]
     if not found.devices:
-        raise ConfigError(f"OpenNI2 {runtime_version} in {runtime.folder}: {ADVICE_NO_DEVICE}")
+        raise ConfigError(f"{runtime.label}: {found.advice}")
     if problems:
         raise CalibrationError("\n".join(problems))

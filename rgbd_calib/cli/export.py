@@ -24,20 +24,30 @@ FORMATS = ("ros", "kalibr", "colmap", "nerfstudio", "open3d", "opencv", "json")
     show_default=True,
     help="Name of each camera's image, in the formats that list images (colmap, nerfstudio).",
 )
+@click.option(
+    "--max-px",
+    type=click.FloatRange(0),
+    default=0.05,
+    show_default=True,
+    help="Largest deviation, px, of a lens that is refitted since the format does not have it.",
+)
 @overwrite_option
-def command(rig: Path, to: str, output: Path, undistorted: bool, image_name: str, overwrite: bool) -> None:
+def command(
+    rig: Path, to: str, output: Path, undistorted: bool, image_name: str, max_px: float, overwrite: bool
+) -> None:
     """Export a rig for another program.
 
     \b
       ros         folder: camera_info YAML of each camera, static transforms (ROS 2 launch.py, ROS 1 launch)
-      kalibr      camchain.yaml: chain from the reference camera; no k3
+      kalibr      camchain.yaml: chain from the reference camera; radtan (no k3) and equidistant
       colmap      folder: text model; pixel centres at 0.5, so cx and cy + 0.5; the rig in rigs.txt
       nerfstudio  transforms.json: OpenGL axes, pixel centres at 0.5
       open3d      PinholeCameraTrajectory, .json: no distortion, so with --undistorted
       opencv      FileStorage, .yml, .xml or .json: everything but the statistics
       json        the rig file as JSON: everything
 
-    Where a format cannot carry the lens, the export stops and says by how many pixels it would be wrong.
+    A lens that the format does not have is refitted over the image to the nearest one that it has, and the largest and the
+    RMS deviation are printed; beyond --max-px the export stops.
 
     \b
     Examples:
@@ -51,7 +61,7 @@ def command(rig: Path, to: str, output: Path, undistorted: bool, image_name: str
 
     exports.check_target(output, to)
     refuse_existing(output, overwrite, folder=not exports.FORMATS[to].suffixes)
-    result = exports.export(read_rig(rig), to, Options(image_name, undistorted, output.suffix.lower()))
+    result = exports.export(read_rig(rig), to, Options(image_name, undistorted, output.suffix.lower(), max_px))
     exports.write(output, result, overwrite)
     say(f"{to}: {', '.join(name for name in result.files if name) or output.name} -> {output}")
     for note in result.notes:

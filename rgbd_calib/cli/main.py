@@ -20,7 +20,9 @@ from rgbd_calib.errors import RgbdCalibError
 COMMANDS = (
     "devices",
     "capture",
+    "init",
     "import",
+    "import-calibration",
     "doctor",
     "simulate",
     "detect",

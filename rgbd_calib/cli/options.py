@@ -70,10 +70,26 @@ redist_option = click.option(
 )
 
 
-def board_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """--board COLSxROWS --square M [--two-sided M], given to the command as `board`: call it for a Board or None."""
+driver_option = click.option(
+    "--driver",
+    "drivers",
+    multiple=True,
+    metavar="NAME",
+    help="openni2, realsense, or replay:RECORDING, a recording played as cameras (repeat).  [default: all that are installed]",
+)
 
-    @click.option("--board", "board_size", metavar="COLSxROWS", help="Inner corners of the checkerboard, such as 9x6.")
+
+def board_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """--board COLSxROWS --square M [--two-sided M], or --board FILE; given to the command as `board`: call it for a Board or
+    None."""
+
+    @click.option(
+        "--board",
+        "board_size",
+        metavar="COLSxROWS|FILE",
+        help="Inner corners of the checkerboard, such as 9x6; or a YAML file with the board: dataset.yaml, the output of "
+        "`rgbd-calib board`, Kalibr's target.yaml.",
+    )
     @click.option("--square", type=float, metavar="M", help="Side of its squares, metres.")
     @click.option(
         "--two-sided", type=float, metavar="M", help="The print is on both faces of a board this thick, metres."
@@ -93,9 +109,17 @@ def parse_board(size: str | None, square_m: float | None, thickness_m: float | N
 
     if size is None and square_m is None and thickness_m is None:
         return None
+    if size is not None and size.lower().endswith((".yaml", ".yml")):
+        from rgbd_calib.io.board_files import read_board
+
+        if square_m is not None or thickness_m is not None:
+            raise ConfigError(f"--board {size}: the file describes the whole board. Leave out --square and --two-sided")
+        return read_board(Path(size))
     cols, x, rows = (size or "").lower().partition("x")
     if not (x and cols.isdigit() and rows.isdigit() and min(int(cols), int(rows)) >= 2):
-        raise ConfigError(f"--board {size}: COLSxROWS of inner corners needed, such as 9x6")
+        raise ConfigError(
+            f"--board {size}: COLSxROWS of inner corners needed, such as 9x6, or a .yaml file with the board"
+        )
     if square_m is None or not 0.001 <= square_m <= 1:
         raise ConfigError(f"--square {square_m}: the side of a square in metres needed, such as 0.06")
     if thickness_m is not None and not 0 <= thickness_m <= 0.1:

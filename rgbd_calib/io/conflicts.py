@@ -7,9 +7,12 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from rgbd_calib.errors import ConfigError
+from rgbd_calib.io.images import DEPTH_SUFFIXES, SUFFIXES
 
 _OF_RECORDINGS = ("dataset.yaml", "capture.yaml", "frame_sets.csv", "timestamps.csv", "distances.csv")
 _IMAGE_FOLDERS = ("color", "depth", "ir")
+_IMAGES = (*SUFFIXES, *DEPTH_SUFFIXES)
+"""Of recordings whose dataset.yaml has patterns: their images may be in any folder."""
 _DEPTH = 4
 """Folders within each other that a recording has, and one more."""
 
@@ -55,7 +58,7 @@ def _is_part(file: Path, recording: Path) -> bool:
     """True where `file` is one of those that a recording is read from, by its own name or through a link."""
     if _holds(recording, _folder(file)):
         real = Path(os.path.realpath(file))
-        if real.name in _OF_RECORDINGS or real.parent.name in _IMAGE_FOLDERS:
+        if real.name in _OF_RECORDINGS or real.parent.name in _IMAGE_FOLDERS or real.suffix.lower() in _IMAGES:
             return True
     return any(_same(file, part) for part in (*(recording / name for name in _OF_RECORDINGS), *_links(recording)))
 

@@ -321,7 +321,7 @@ def dataset_data(
 def _camera_data(info: CameraInfo) -> dict[str, Any]:
     entry: dict[str, Any] = {"width": info.width, "height": info.height}
     depth: dict[str, Any] = {}
-    if info.float_unit_m != 1.0:
+    if info.float_unit_m == info.depth_scale or info.float_unit_m != 1.0:
         depth["scale_m"] = info.float_unit_m
     elif info.depth_stated or info.depth_scale != 0.001:
         entry["depth_scale"] = info.depth_scale

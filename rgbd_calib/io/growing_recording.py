@@ -20,7 +20,6 @@ import cv2
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError, ConfigError
-from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.recording import CameraInfo, DepthGeometry, open_recording, write_dataset
 from rgbd_calib.io.schema_base import check_name
 from rgbd_calib.io.tables import short
@@ -61,7 +60,7 @@ class GrowingRecording:
     ) -> None:
         self.folder = folder
         self._serials: dict[str, str | None] = {}
-        self._intrinsics: dict[str, Intrinsics] = {}
+        self._described: dict[str, CameraInfo] = {}
         self._depth_scale = depth_scale
         self._registered = registered
         self._lock = threading.Lock()
@@ -100,9 +99,9 @@ class GrowingRecording:
                 raise ConfigError(f"camera {short(camera)} seen; {error}. Rename it") from None
         self._serials = dict(serials)
 
-    def describe(self, intrinsics: Mapping[str, Intrinsics]) -> None:
-        """Intrinsics of cameras, to be noted in dataset.yaml with their first images."""
-        self._intrinsics = dict(intrinsics)
+    def describe(self, cameras: Mapping[str, CameraInfo]) -> None:
+        """What the cameras say of themselves, to be noted in dataset.yaml with their first images."""
+        self._described = dict(cameras)
 
     def reserve(self) -> str:
         """The name of the next frame set."""
@@ -153,17 +152,19 @@ class GrowingRecording:
         now = dict(self._cameras)
         for camera, shot in images.items():
             height, width = shot.color.shape[:2]
+            said = self._described.get(camera)
             info = now.get(camera) or CameraInfo(
-                width, height, serial=self._serials.get(camera), intrinsics=self._intrinsics.get(camera)
+                width, height, serial=self._serials.get(camera), intrinsics=said.intrinsics if said else None
             )
+            scale = said.depth_scale if said else self._depth_scale
             if shot.depth_raw is not None and not info.depth_stated:
                 height, width = shot.depth_raw.shape
                 own = None if self._registered else DepthGeometry(width, height)
-                info = replace(info, depth_scale=self._depth_scale, depth_stated=True, depth=own)
-            if shot.depth_raw is not None and info.depth_scale != self._depth_scale:
+                info = replace(info, depth_scale=scale, depth_stated=True, depth=said.depth if said else own)
+            if shot.depth_raw is not None and info.depth_scale != scale:
                 raise ConfigError(
                     f"{self.folder / 'dataset.yaml'}: {camera}: {info.depth_scale} m for each unit of depth there, the camera "
-                    f"gives {self._depth_scale}. Set the camera to the same unit, or record into another folder"
+                    f"gives {scale}. Set the camera to the same unit, or record into another folder"
                 )
             now[camera] = info
         if now != self._cameras:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Literal
@@ -87,13 +87,14 @@ def find_unused(
 ) -> tuple[str, ...]:
     """Paths, relative to the recording, of files under a camera that nobody reads: neither taken, nor of a taken frame.
 
-    A depth image without a colour image of its frame counts as well, and so does a whole folder of images beside those of
+    A depth image without a colour or infrared image of its frame counts as well, and so does a whole folder of images beside those of
     the cameras.
     """
     taken = {f"{camera}/{table}" for camera in cameras for table in _TABLES}
     for kind, of_kind in files.items():
         for camera, own in of_kind.items():
-            some = own if kind != "depth" else {f: path for f, path in own.items() if f in files["color"][camera]}
+            partners = {*files["color"][camera], *files["ir"][camera]}
+            some = own if kind != "depth" else {f: path for f, path in own.items() if f in partners}
             taken |= {path.relative_to(root).as_posix() for path in some.values()}
     unused = []
     for relative in walk(root):
@@ -102,6 +103,12 @@ def find_unused(
         if relative not in taken and (inside or not text):
             unused.append(relative)
     return tuple(unused)
+
+
+def others(root: Path, taken: Collection[str]) -> str:
+    """Files under a foreign folder that are neither taken nor texts, in words; empty where there are none."""
+    left = [path for path in walk(root) if path not in taken and Path(path).suffix.lower() not in _TEXTS]
+    return f"{root}: not used: {describe_unused(left)}" if left else ""
 
 
 def describe_unused(unused: Sequence[str]) -> str:

@@ -234,7 +234,7 @@ def _check_depth(recording: Recording, stated_for_all: bool) -> None:
     path = recording.path
     for camera, depth in recording.depth_files.items():
         color = recording.color_files[camera]
-        if depth and not set(depth) & set(color):
+        if depth and not set(depth) & {*color, *recording.ir_files[camera]}:
             raise ConfigError(
                 f"{path}: camera {camera}: none of its {len(depth)} depth images has the name of a colour image: "
                 f"{', '.join([*depth][:3])} and {', '.join([*color][:3])} seen. {_REMEDY}"

@@ -24,7 +24,7 @@ from rgbd_calib.io.schema_base import (
     check_rigid,
     no_boolean,
 )
-from rgbd_calib.types import Board, BoardShape, DepthBias, DepthCamera, DepthField
+from rgbd_calib.types import APRILGRID_TAGS, Board, BoardShape, BoardType, DepthBias, DepthCamera, DepthField
 
 
 class IntrinsicsModel(Strict):
@@ -256,7 +256,7 @@ class BoardShapeModel(Strict):
 class BoardModel(Strict):
     """`cols` and `rows` count inner corners; `square`, `thickness` and `marker` are metres."""
 
-    type: Literal["checkerboard", "charuco"] = "checkerboard"
+    type: BoardType = "checkerboard"
     cols: Corners
     rows: Corners
     square: Length
@@ -275,6 +275,20 @@ class BoardModel(Strict):
         return self
 
     @model_validator(mode="after")
+    def _aprilgrid(self) -> BoardModel:
+        if self.type != "aprilgrid":
+            return self
+        if self.marker is None or not self.square < self.marker < 2 * self.square:
+            raise ValueError(
+                "an aprilgrid needs 'marker', the side of a tag (metres), and 'square', half of what tags are apart"
+            )
+        if self.cols % 2 or self.rows % 2:
+            raise ValueError(
+                f"{self.cols} x {self.rows} corners; an aprilgrid has two for each tag along columns and rows"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _shape(self) -> BoardModel:
         n = self.cols * self.rows
         for name, points in self.shape or ():
@@ -284,9 +298,9 @@ class BoardModel(Strict):
 
     @classmethod
     def of(cls, board: Board) -> BoardModel:
-        charuco: dict[str, Any] = (
+        markers: dict[str, Any] = (
             {"marker": board.marker_m, "dictionary": board.dictionary, "legacy": board.legacy or None}
-            if board.type == "charuco"
+            if board.type != "checkerboard"
             else {}
         )
         return cls(
@@ -297,7 +311,7 @@ class BoardModel(Strict):
             two_sided=board.two_sided,
             thickness=board.thickness_m,
             shape=None if board.shape is None else BoardShapeModel.of(board.shape),
-            **charuco,
+            **markers,
         )
 
     def value(self) -> Board:
@@ -309,7 +323,7 @@ class BoardModel(Strict):
             self.thickness,
             self.type,
             self.marker or 0.0,
-            self.dictionary or "",
+            self.dictionary or (APRILGRID_TAGS if self.type == "aprilgrid" else ""),
             self.legacy or False,
             None if self.shape is None else self.shape.value(),
         )

@@ -26,6 +26,8 @@ from rgbd_calib.pipeline.rig_inputs import common_cameras
 from rgbd_calib.types import Rig, RigCamera
 
 _TABLES = ("timestamps.csv", "distances.csv")
+_COARSEST_M = 0.001
+"""Unit of the 16-bit depth that is written, where that of the recording (of floating-point depth, say) is coarser."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,13 @@ def correct(
     cameras = common_cameras(recording, rig)
     fitting = _rig_of_corrected(rig, cameras, undistort)
     infos = {
-        c: replace(recording.cameras[c], intrinsics=fitting.cameras[c].intrinsics, invalid=(), float_unit_m=1.0)
+        c: replace(
+            recording.cameras[c],
+            intrinsics=fitting.cameras[c].intrinsics,
+            depth_scale=min(recording.cameras[c].depth_scale, _COARSEST_M),
+            invalid=(),
+            float_unit_m=1.0,
+        )
         for c in cameras
     }
     maps = {c: undistort_map(rig.cameras[c].intrinsics) if undistort else None for c in cameras}
@@ -121,7 +129,7 @@ def correct(
         return 0, 0
 
     def do_depth(camera: str, frame: str) -> tuple[int, int]:
-        info, to = recording.cameras[camera], maps[camera]
+        info, to = infos[camera], maps[camera]
         units = np.nan_to_num(np.rint(recording.depth_m(camera, frame) / info.depth_scale))
         depth_raw = np.where(units < NO_MEASUREMENT, units, 0).astype(np.uint16)
         corrected, lost, held = correct_depth(depth_raw, info.depth_scale, rig.cameras[camera])

@@ -256,6 +256,9 @@ def _check_board(
     findings += doctor.check_consistency(shift_m, unfit, list(measures), params)
     findings += doctor.check_sharpness(measures, missed, params)
     offsets = {k: o for k, o in _depth_offsets(posed, board).items() if k not in unfit}
+    stated = {*given, *(c for c, info in recording.cameras.items() if info.intrinsics is not None)}
+    enough = {c for c in recording.cameras if sum(v.camera == c for v in views) >= MIN_OWN_VIEWS}
+    findings += doctor.check_depth_unit(offsets, stated | enough)
     findings += doctor.check_depth(measures, offsets, params)
     if not alone:
         findings += doctor.check_empty(set(images), set(measures))

@@ -13,6 +13,8 @@ import numpy as np
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.drawings import Fill, Line, Shape, Sheet, Text
+from rgbd_calib.report import charuco
+from rgbd_calib.report.aprilgrid import gap_m, tags
 from rgbd_calib.types import Board
 
 PAGES_MM = {
@@ -31,10 +33,20 @@ _MIN_TEXT_WIDTH_MM = 150.0
 
 def needed_mm(board: Board) -> tuple[float, float]:
     """Width and height of the smallest page: the squares, half a square of white around them, the foot."""
-    square = board.square_m * 1000
-    white = max(square / 2, _EDGE_MM)
-    width = (board.cols + 1) * square + 2 * white
-    return max(width, _MIN_TEXT_WIDTH_MM), (board.rows + 1) * square + white + max(white, _EDGE_MM) + _FOOT_MM
+    white = max(board.square_m * 500, _EDGE_MM)
+    width, height = pattern_mm(board)
+    return max(width + 2 * white, _MIN_TEXT_WIDTH_MM), height + white + max(white, _EDGE_MM) + _FOOT_MM
+
+
+def pattern_mm(board: Board) -> tuple[float, float]:
+    """Width and height of what is black on the board."""
+    width, height = board.grid[-1] * board.square_m * 1000
+    return float(width + 2 * rim_mm(board)), float(height + 2 * rim_mm(board))
+
+
+def rim_mm(board: Board) -> float:
+    """What is black beyond the outer corners: squares, the small ones of an AprilGrid."""
+    return 1000 * (gap_m(board) if board.type == "aprilgrid" else board.square_m)
 
 
 def page_mm(board: Board, page: str) -> tuple[float, float]:
@@ -75,16 +87,14 @@ def sheets(board: Board, page: tuple[float, float]) -> tuple[Sheet, ...]:
 
 def first_corner_mm(board: Board, page: tuple[float, float]) -> tuple[float, float]:
     """Where inner corner (0, 0) stands on the page, from its top left corner."""
-    square = board.square_m * 1000
-    x = (page[0] - (board.cols + 1) * square) / 2
-    y = (page[1] - _FOOT_MM - (board.rows + 1) * square) / 2
-    return x + square, y + square
+    width, height = pattern_mm(board)
+    return (page[0] - width) / 2 + rim_mm(board), (page[1] - _FOOT_MM - height) / 2 + rim_mm(board)
 
 
 def numbers(board: Board) -> str:
     """The line of dataset.yaml."""
     parts = [f"type: {board.type}", f"cols: {board.cols}", f"rows: {board.rows}", f"square: {board.square_m:.6g}"]
-    if board.type == "charuco":
+    if board.type != "checkerboard":
         parts += [f"marker: {board.marker_m:.6g}", f"dictionary: {board.dictionary}"]
     if board.two_sided:
         parts += ["two_sided: true", f"thickness: {board.thickness_m:.6g}"]
@@ -94,24 +104,15 @@ def numbers(board: Board) -> str:
 def _sheet(board: Board, page: tuple[float, float], face: str) -> Sheet:
     x, y = first_corner_mm(board, page)
     square = board.square_m * 1000
-    x, y = x - square, y - square
-    dark = [
-        (x + i * square, y + j * square, square, square)
-        for j in range(board.rows + 1)
-        for i in range(board.cols + 1)
-        if (i + j) % 2 == 0
-    ]
-    shapes: list[Shape] = [Fill(tuple(dark))]
-    if board.type == "charuco":
-        shapes += _markers(board, x, y)
-    foot = y + (board.rows + 1) * square + max(square / 2, _EDGE_MM)
-    foot = max(foot, page[1] - _FOOT_MM)
+    shapes = pattern(board, x, y)
+    x, y = x - rim_mm(board), y - rim_mm(board)
+    bottom = y + pattern_mm(board)[1]
+    foot = max(bottom + max(square / 2, _EDGE_MM), page[1] - _FOOT_MM)
     left = max(_EDGE_MM, min(x, (page[0] - _MIN_TEXT_WIDTH_MM) / 2))
-    shapes += _marks(page, y, y + (board.rows + 1) * square)
-    shapes += _ruler(left, foot + 2, page[0] - 2 * left)
+    shapes += _marks(page, y, bottom)
+    shapes += ruler(left, foot + 2, page[0] - 2 * left)
     text = [
-        f"rgbd-calib{face}: {board.cols} x {board.rows} inner corners, squares of {square:g} mm. "
-        "Print at 100 %, not fitted to the page;",
+        f"rgbd-calib{face}: {title(board)}. Print at 100 %, not fitted to the page;",
         "measure the ruler and several squares, and write what you measured into dataset.yaml:",
         numbers(board),
     ]
@@ -124,18 +125,51 @@ def _sheet(board: Board, page: tuple[float, float], face: str) -> Sheet:
     return Sheet(*page, tuple(shapes))
 
 
-def _markers(board: Board, x: float, y: float) -> list[Shape]:
-    """ChArUco markers as OpenCV lays them out and draws them, moved to the page."""
-    from rgbd_calib.report.charuco import markers
+def title(board: Board) -> str:
+    """The board in words."""
+    mm = 1000 * board.square_m
+    if board.type == "aprilgrid":
+        spacing = gap_m(board) / board.marker_m
+        return (
+            f"AprilGrid, tagCols {board.cols // 2}, tagRows {board.rows // 2}, tagSize {board.marker_m:.6g} m, "
+            f"tagSpacing {spacing:.4g}"
+        )
+    return f"{board.cols} x {board.rows} inner corners, squares of {mm:g} mm"
 
-    shapes: list[Shape] = []
-    for corner_m, cells in markers(board):
-        side = board.marker_m * 1000
-        cell = side / len(cells)
-        x0, y0 = x + corner_m[0] * 1000, y + corner_m[1] * 1000
-        black = [(x0 + i * cell, y0 + j * cell, cell, cell) for j, i in np.argwhere(~cells).tolist()]
-        shapes.append(Fill(tuple(black)))
+
+def pattern(board: Board, x: float, y: float) -> list[Shape]:
+    """What is black on the board, mm, with corner (0, 0) at (x, y)."""
+    if board.type == "aprilgrid":
+        return _aprilgrid(board, x, y)
+    square = board.square_m * 1000
+    x, y = x - square, y - square
+    dark = [
+        (x + i * square, y + j * square, square, square)
+        for j in range(board.rows + 1)
+        for i in range(board.cols + 1)
+        if (i + j) % 2 == 0
+    ]
+    shapes: list[Shape] = [Fill(tuple(dark))]
+    if board.type == "charuco":
+        shapes += [_cells(x, y, corner_m, cells, board) for corner_m, cells in charuco.markers(board)]
     return shapes
+
+
+def _aprilgrid(board: Board, x: float, y: float) -> list[Shape]:
+    side, gap = 2000 * board.square_m, 1000 * gap_m(board)
+    small = [
+        (x - gap + i * side, y - gap + j * side, gap, gap)
+        for j in range(board.rows // 2 + 1)
+        for i in range(board.cols // 2 + 1)
+    ]
+    return [Fill(tuple(small)), *(_cells(x, y, corner_m, cells, board) for corner_m, cells in tags(board))]
+
+
+def _cells(x: float, y: float, corner_m: np.ndarray, cells: np.ndarray, board: Board) -> Fill:
+    """The black cells of a marker whose corner is at (x, y) + corner_m on the page."""
+    cell = board.marker_m * 1000 / len(cells)
+    x0, y0 = x + corner_m[0] * 1000, y + corner_m[1] * 1000
+    return Fill(tuple((x0 + i * cell, y0 + j * cell, cell, cell) for j, i in np.argwhere(~cells).tolist()))
 
 
 def _marks(page: tuple[float, float], top: float, bottom: float) -> list[Shape]:
@@ -148,7 +182,7 @@ def _marks(page: tuple[float, float], top: float, bottom: float) -> list[Shape]:
     return shapes
 
 
-def _ruler(x: float, y: float, room: float) -> list[Shape]:
+def ruler(x: float, y: float, room: float) -> list[Shape]:
     """A ruler of 50 mm or of as many times 100 mm as there is room for, ticks every 10 mm."""
     length = max(50, 100 * int(room // 100))
     shapes: list[Shape] = [Line(x, y, x + length, y)]

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rgbd_calib.errors import CalibrationError, ConfigError
+from rgbd_calib.sensors.driver import Drivers
 from rgbd_calib.sensors.identity import Identity, assign_cameras
-from rgbd_calib.sensors.openni2 import Runtime
 from rgbd_calib.sensors.usb import crowded_controllers, forbidden_node, usb_place
 
 ADVICE_NO_DEVICE = (
@@ -37,6 +37,13 @@ class Found:
 
     devices: tuple[FoundDevice, ...]
     warnings: tuple[str, ...]
+    missing: tuple[str, ...] = ()
+    """Why drivers could not be loaded."""
+
+    @property
+    def advice(self) -> str:
+        """What to do where there is no device."""
+        return "; ".join([*self.missing, ADVICE_NO_DEVICE])
 
     def assign(self, wanted: Mapping[str, str], known: Mapping[str, str] | None = None) -> dict[str, Identity]:
         """{camera id: device} to record with; see :func:`assign_cameras`.
@@ -49,7 +56,7 @@ class Found:
             A device that is to be used does not open.
         """
         if not self.devices:
-            raise ConfigError(ADVICE_NO_DEVICE)
+            raise ConfigError(self.advice)
         cameras = assign_cameras([d.identity for d in self.devices], wanted, known)
         for device in self.devices:
             if device.problem and device.identity in cameras.values():
@@ -58,7 +65,7 @@ class Found:
         return cameras
 
 
-def find_cameras(runtime: Runtime) -> Found:
+def find_cameras(runtime: Drivers) -> Found:
     """Open each attached device once, ask it who it is, and close it."""
     devices = tuple(_ask(runtime, uri) for uri in runtime.uris())
     warnings = [
@@ -73,10 +80,10 @@ def find_cameras(runtime: Runtime) -> Found:
             f"{', '.join(names)} share the USB controller {controller}; one camera fills most of it. Move all but one to "
             "other controllers (`lsusb -t`), or expect missing frames"
         )
-    return Found(devices, tuple(warnings))
+    return Found(devices, tuple(warnings), runtime.missing)
 
 
-def _ask(runtime: Runtime, uri: str) -> FoundDevice:
+def _ask(runtime: Drivers, uri: str) -> FoundDevice:
     place = usb_place(uri)
     port = place.path if place else uri
     try:

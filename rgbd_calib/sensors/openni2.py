@@ -34,6 +34,13 @@ class Runtime:
         v = self._binding.get_version()
         return f"{v.major}.{v.minor}.{v.maintenance}.{v.build}"
 
+    @property
+    def label(self) -> str:
+        return f"OpenNI2 {self.version} in {self.folder}"
+
+    def owns(self, uri: str) -> bool:
+        return not uri.startswith(("realsense:", "replay:"))
+
     def uris(self) -> list[str]:
         """Devices that are attached now."""
         return [uri.decode() for uri in self._binding.Device.enumerate_uris()]

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import ctypes
 import time
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError
+from rgbd_calib.io.dataset import CameraInfo, DepthGeometry
+from rgbd_calib.sensors.driver import DeviceSettings
 from rgbd_calib.sensors.frames import Kind, SensorFrame
 from rgbd_calib.sensors.usb import UsbPlace, usb_place
 
@@ -26,25 +27,6 @@ _SERIAL, _FIRMWARE = 3, 0
 _CLOSE_PAUSE_S = 0.05  # between stopping and closing streams: the runtime's threads need it
 
 
-@dataclass(frozen=True)
-class DeviceSettings:
-    """What a device says of itself and of its streams, read back after it was set up."""
-
-    uri: str
-    name: str
-    vendor: str
-    serial: str | None
-    firmware: str | None
-    usb_path: str | None
-    usb_controller: str | None
-    color_mode: str
-    depth_mode: str
-    registered: bool
-    mirrored: bool
-    horizontal_fov_rad: float
-    vertical_fov_rad: float
-
-
 class Device:
     """An open device with one colour and one depth stream."""
 
@@ -54,6 +36,7 @@ class Device:
         self._color: Any = None
         self._depth: Any = None
         self._running = False
+        self._registered = True
         self.uri: str = handle.uri.decode()
         self.name: str = handle.device_info.name.decode()
         self.vendor: str = handle.device_info.vendor.decode()
@@ -111,8 +94,8 @@ class Device:
         )
         for stream in (self._depth, self._color):
             self._set("mirroring", lambda s=stream: s.set_mirroring_enabled(False), "pictures that are not mirrored")
-        registered = self._register(allow_unregistered)
-        settings = self.settings(registered)
+        self._registered = self._register(allow_unregistered)
+        settings = self.settings(self._registered)
         if settings.mirrored:
             raise CalibrationError(
                 f"{self.label}: pictures stay mirrored after mirroring was switched off; a calibration needs them as seen. "
@@ -126,6 +109,14 @@ class Device:
                     "Replug the device"
                 )
         return settings
+
+    def set_sync(self, leads: bool) -> bool:
+        return False
+
+    def describe(self) -> CameraInfo:
+        """Sizes and the unit of depth; it states no lens."""
+        own = None if self._registered else DepthGeometry(WIDTH, HEIGHT)
+        return CameraInfo(WIDTH, HEIGHT, self.depth_unit_m(), self.serial, depth=own, depth_stated=True)
 
     def settings(self, registered: bool) -> DeviceSettings:
         """What the device and its streams say now."""

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from rgbd_calib.errors import CalibrationError
+from rgbd_calib.io.dataset import CameraInfo
+from rgbd_calib.sensors.driver import Device, DeviceSettings, Driver
 from rgbd_calib.sensors.frame_sets import MAX_SPREAD_S, tightest_frame_set
 from rgbd_calib.sensors.frames import PERIOD_S, FrameSet, Kind
 from rgbd_calib.sensors.identity import Identity
-from rgbd_calib.sensors.openni2 import Runtime
-from rgbd_calib.sensors.openni2_device import FPS, Device, DeviceSettings
 from rgbd_calib.sensors.reader import DeviceReader, ReaderCounts
 
 Listener = Callable[[str, str], None]
@@ -52,13 +52,15 @@ class Rig:
         {camera id: device to open}.
     listener
         Told in words of everything that goes wrong or right again, from a thread of the rig's own.
+    sync_leader
+        The camera that gives the pulse of a synchronisation cable; the others follow. None: all run freely.
     settle_s
         How long exposure and white balance may settle before they are locked.
     """
 
     def __init__(
         self,
-        runtime: Runtime,
+        runtime: Driver,
         cameras: Mapping[str, Identity],
         listener: Listener,
         *,
@@ -66,6 +68,7 @@ class Rig:
         lock_exposure: bool = True,
         keep_depth: int = 1,
         allow_unregistered: bool = False,
+        sync_leader: str | None = None,
     ) -> None:
         self._runtime = runtime
         self._listener = listener
@@ -73,6 +76,7 @@ class Rig:
         self._lock_exposure = lock_exposure
         self._keep_depth = keep_depth
         self._allow_unregistered = allow_unregistered
+        self._sync_leader = sync_leader
         self._fresh = threading.Condition()
         self._seats: dict[str, _Seat] = {}
         self._stop = threading.Event()
@@ -109,6 +113,10 @@ class Rig:
     def settings(self) -> dict[str, tuple[DeviceSettings, dict[str, Any]]]:
         """What each camera was set to: the device, and exposure and white balance."""
         return {c: (seat.settings, self._camera_settings.get(c, {})) for c, seat in self._seats.items()}
+
+    def describe(self) -> dict[str, CameraInfo]:
+        """Sizes, unit of depth and geometry as the devices state them."""
+        return {camera: seat.device.describe() for camera, seat in self._seats.items()}
 
     def counts(self) -> dict[str, ReaderCounts]:
         """What each camera delivered, over all times it was plugged in."""
@@ -150,11 +158,17 @@ class Rig:
 
     def _seat(self, camera: str, identity: Identity) -> _Seat:
         device = self._runtime.open(identity.uri)
-        settings = device.configure(self._allow_unregistered)
+        settings = self._set_up(camera, device)
         reader = DeviceReader(camera, device, self._fresh, self._keep_depth)
         device.start()
         reader.start()
         return _Seat(identity, device, settings, reader)
+
+    def _set_up(self, camera: str, device: Device) -> DeviceSettings:
+        settings = device.configure(self._allow_unregistered)
+        if self._sync_leader is not None and not device.set_sync(camera == self._sync_leader):
+            self._listener(camera, "has no hardware synchronisation; it runs freely")
+        return settings
 
     def _settle(self) -> None:
         """Wait for the first frames of all, let the exposure settle, lock it, and check the frame rates."""
@@ -180,9 +194,10 @@ class Rig:
             for camera in self._seats:
                 for kind in after[camera].frames:
                     rate = (after[camera].frames[kind] - before[camera].frames[kind]) / elapsed_s
-                    if rate < _MIN_RATE * FPS:
+                    if rate < _MIN_RATE / PERIOD_S:
                         self._listener(
-                            camera, f"{kind} comes at {rate:.0f} fps instead of {FPS}: a shared USB controller?"
+                            camera,
+                            f"{kind} comes at {rate:.0f} fps instead of {1 / PERIOD_S:.0f}: a shared USB controller?",
                         )
 
     def _finish_setup(self, camera: str, seat: _Seat) -> None:
@@ -233,7 +248,7 @@ class Rig:
             if Identity(uri, device.serial, device.usb_path).key != seat.identity.key:
                 device.close()
                 return False
-            settings = device.configure(self._allow_unregistered)
+            settings = self._set_up(camera, device)
             reader = DeviceReader(camera, device, self._fresh, self._keep_depth)
             device.start()
             reader.start()

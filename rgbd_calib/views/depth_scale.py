@@ -8,6 +8,7 @@ import numpy as np
 
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import Board, DepthBias, PosedView
 
 MAX_RATIO = 1.25
@@ -15,6 +16,54 @@ MAX_RATIO = 1.25
 lengths from views to five at least; the smallest mistake of units (inch for cm) is a factor of 2.5."""
 SAME = 1.05
 """Cameras whose ratios differ by less have one reason."""
+FACTORS = (1000.0, 100.0, 10.0, 8.0, 5.0, 4.0, 2.54, 1.25)
+"""Between units of depth that cameras and data sets use: m, cm, mm; 0.1, 0.125, 0.2 (TUM) and 0.25 mm; inches."""
+UNITS_M = (0.001, 0.0002, 0.0001, 0.00025, 0.000125, 0.01)
+"""Metres for each unit of 16-bit depth images, the most usual first."""
+WITHIN = 1.09
+"""Depth over pixels is that near to the true factor, where the lens is known or estimated; 4 and 5, 8 and 10 stay apart."""
+
+
+def likely_factor(ratio: float) -> float | None:
+    """The factor, or one over it, by which depth seems to be in another unit, from measured depth over its distance by
+    the pixels; None where the ratio is near none (near 1 included)."""
+    for factor in FACTORS:
+        for value in (factor, 1 / factor):
+            if value / WITHIN < ratio < value * WITHIN:
+                return value
+    return None
+
+
+def name_factor(ratio: float) -> str:
+    """What a ratio of measured depth to its distance by the pixels says of the unit, in words; empty where nothing."""
+    factor = likely_factor(ratio)
+    if factor is None:
+        return ""
+    return (
+        f"depth_scale looks {factor:g} times too large"
+        if factor > 1
+        else f"depth_scale looks {1 / factor:g} times too small"
+    )
+
+
+def unit_of_depth(raw: FloatArray, distance_m: FloatArray, within: float = WITHIN) -> float | None:
+    """Metres for each unit of depth, of the units that are in use; None where none, or more than one, fits.
+
+    Parameters
+    ----------
+    raw
+        Depth (n,) of boards, as stored.
+    distance_m
+        Their distances (n,), metres, by the pixels.
+    within
+        By which factor focal lengths may be wrong.
+    """
+    measured = np.isfinite(raw) & (raw > 0) & (distance_m > 0)
+    if not np.any(measured):
+        return None
+    unit_m = float(np.median(distance_m[measured] / raw[measured]))
+    fitting = [u for u in UNITS_M if u / within < unit_m < u * within]
+    return fitting[0] if len(fitting) == 1 else None
 
 
 def depth_over_pixels(posed: PosedView, board: Board, bias: DepthBias | None) -> float | None:
@@ -41,7 +90,7 @@ def check_depth_scale(posed: Sequence[PosedView], board: Board, biases: Mapping[
         if ratio is not None:
             ratios.setdefault(p.view.camera, []).append(ratio)
     usual = {name: float(np.median(own)) for name, own in ratios.items()}
-    wrong = {name: r for name, r in usual.items() if not 1 / MAX_RATIO < r < MAX_RATIO}
+    wrong = {name: r for name, r in usual.items() if not 1 / MAX_RATIO < r < MAX_RATIO or likely_factor(r) is not None}
     if not wrong:
         return
     named = ", ".join(f"{name} {r:.3g}" for name, r in wrong.items())
@@ -53,6 +102,8 @@ def check_depth_scale(posed: Sequence[PosedView], board: Board, biases: Mapping[
         )
     else:
         todo = "Check depth_scale of these cameras (metres for each unit of their depth images), and their intrinsics"
+    factors = {factor: name for name, r in wrong.items() if (factor := name_factor(r))}
+    todo += "".join(f" ({name}: {factor})" for factor, name in factors.items())
     raise CalibrationError(
         f"{', '.join(wrong)}: measured depth over the board's distance by its pixels is {named} in the median of the views; "
         f"{1 / MAX_RATIO:g} to {MAX_RATIO:g} needed. {todo}"

@@ -1,4 +1,4 @@
-"""COLMAP's text model: one image a camera, OPENCV cameras (FULL_OPENCV where there is a k3), and the rig itself.
+"""COLMAP's text model: one image a camera, and the rig itself; OPENCV, FULL_OPENCV (k3 to k6) or OPENCV_FISHEYE.
 
 The centre of COLMAP's top left pixel is (0.5, 0.5), so cx and cy are larger by 0.5. COLMAP 3.11 and older read cameras,
 images and points; since 3.12 it reads rigs.txt and frames.txt too, where the reference camera is the rig's frame.
@@ -9,12 +9,19 @@ from __future__ import annotations
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.io.exports.common import Export, Options, bias_note
+from rgbd_calib.io.exports.common import Carried, Export, Options, bias_note, with_carried_lenses
 from rgbd_calib.types import Rig
+
+LENSES = (
+    Carried("opencv", 4, "OPENCV"),
+    Carried("opencv", 8, "FULL_OPENCV"),
+    Carried("kannala_brandt", 4, "OPENCV_FISHEYE"),
+)
 
 
 def export(rig: Rig, options: Options) -> Export:
     """A folder of cameras.txt, images.txt, points3D.txt (empty), rigs.txt and frames.txt."""
+    rig, refitted = with_carried_lenses(rig, "COLMAP", LENSES, options.max_px)
     image_names = options.image_names(rig)
     number = {name: i for i, name in enumerate(rig.cameras, 1)}
     T_world_ref = rig.cameras[rig.reference].T_world_color
@@ -41,13 +48,18 @@ def export(rig: Rig, options: Options) -> Export:
     tables = {"cameras": cameras, "images": images, "points3D": points, "rigs": rigs, "frames": frames}
     notes = (f"image names are {next(iter(image_names.values()))} and so on; change them with --image-name",)
     files = {f"{name}.txt": "\n".join(lines) + "\n" for name, lines in tables.items()}
-    return Export(files, notes + bias_note(rig, "COLMAP"))
+    return Export(files, refitted + notes + bias_note(rig, "COLMAP"))
 
 
 def _model(lens: Intrinsics) -> str:
-    k1, k2, p1, p2, k3 = lens.distortion
-    model, more = ("OPENCV", []) if k3 == 0.0 else ("FULL_OPENCV", [k3, 0.0, 0.0, 0.0])
-    values = [lens.fx, lens.fy, lens.cx + 0.5, lens.cy + 0.5, k1, k2, p1, p2, *more]
+    model, own = "OPENCV", [*lens.distortion, *(0.0,) * (8 - len(lens.distortion))][:8]
+    if lens.model == "kannala_brandt":
+        model, own = "OPENCV_FISHEYE", [*lens.distortion]
+    elif any(own[4:]):
+        model = "FULL_OPENCV"
+    else:
+        own = own[:4]
+    values = [lens.fx, lens.fy, lens.cx + 0.5, lens.cy + 0.5, *own]
     return " ".join([model, str(lens.width), str(lens.height), *map(repr, values)])
 
 

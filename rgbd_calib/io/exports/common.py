@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from rgbd_calib.errors import ConfigError
-from rgbd_calib.geometry.camera import Intrinsics, project
+from rgbd_calib.geometry.camera import Intrinsics, LensName
+from rgbd_calib.geometry.lens_fit import as_model
 from rgbd_calib.types import Rig
 
 
@@ -21,6 +21,8 @@ class Options:
     """The images are made by `correct --undistort`: pinholes without distortion."""
     suffix: str = ""
     """Suffix of the file, where it says which dialect is wanted."""
+    max_px: float = 0.05
+    """A lens that the format does not have may be off by so much, px, after it was fitted to one that it has."""
 
     def image_names(self, rig: Rig) -> dict[str, str]:
         """Image name by camera; raises ConfigError where the pattern is wrong or gives two cameras the same name."""
@@ -46,35 +48,66 @@ class Export:
 def without_lens(rig: Rig) -> Rig:
     """The same rig with pinhole cameras, for images that `correct --undistort` made: same K, no distortion."""
     cameras = {
-        name: replace(camera, intrinsics=replace(camera.intrinsics, distortion=(0.0,) * 5))
-        for name, camera in rig.cameras.items()
+        name: replace(camera, intrinsics=camera.intrinsics.without_distortion()) for name, camera in rig.cameras.items()
     }
     return replace(rig, cameras=cameras)
 
 
-def reach_px(lens: Intrinsics, kept: tuple[bool, ...] = (False,) * 5) -> float:
-    """Farthest that a pixel of the image moves when only the `kept` of k1, k2, p1, p2, k3 are left, px."""
-    u, v = np.meshgrid(np.linspace(0, lens.width - 1, 17), np.linspace(0, lens.height - 1, 17))
-    pixels = np.stack([u.ravel(), v.ravel()], axis=1)
-    p_color = lens.rays(pixels)
-    distortion = tuple(k if keep else 0.0 for k, keep in zip(lens.distortion, kept, strict=True))
-    moved = project(np.array([lens.fx, lens.fy, lens.cx, lens.cy, *distortion]), p_color)
-    return float(np.nanmax(np.linalg.norm(moved - pixels, axis=1)))
+COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
+"""Of OpenCV's lens, in its order."""
+FISHEYE = ("k1", "k2", "k3", "k4")
 
 
-def refuse_lens(rig: Rig, to: str, carried: tuple[bool, ...]) -> None:
-    """Raise ConfigError where a camera's distortion has a coefficient that the format does not carry."""
-    names = ("k1", "k2", "p1", "p2", "k3")
-    for camera, entry in rig.cameras.items():
-        lost = [
-            n for n, k, keep in zip(names, entry.intrinsics.distortion, carried, strict=True) if k != 0.0 and not keep
-        ]
-        if lost:
+def coefficients(lens: Intrinsics) -> dict[str, float]:
+    """The lens's coefficients by name; those that it does not have are not there."""
+    return dict(zip(FISHEYE if lens.model == "kannala_brandt" else COEFFICIENTS, lens.distortion, strict=False))
+
+
+@dataclass(frozen=True)
+class Carried:
+    """A lens that a format has: the first `n` coefficients of a model."""
+
+    model: LensName
+    n: int
+    name: str
+    """As the format calls it."""
+
+    def holds(self, lens: Intrinsics) -> bool:
+        """The lens is one of these as it is."""
+        return lens.model == self.model and not any(lens.distortion[self.n :])
+
+
+def with_carried_lenses(rig: Rig, to: str, carried: Sequence[Carried], max_px: float) -> tuple[Rig, tuple[str, ...]]:
+    """The rig with lenses that the format has, and a note for each that was fitted: refitted over its image.
+
+    Raises
+    ------
+    ConfigError
+        The nearest lens of the format is off by more than `max_px`.
+    """
+    cameras, notes = dict(rig.cameras), []
+    for name, camera in rig.cameras.items():
+        lens = camera.intrinsics
+        if any(own.holds(lens) for own in carried):
+            continue
+        try:
+            fits = [(as_model(lens, own.model, own.n), own) for own in carried]
+        except ValueError as error:
             raise ConfigError(
-                f"{camera}: distortion {', '.join(lost)} seen, which {to} cannot carry; without it pixels are off by up "
-                f"to {reach_px(entry.intrinsics, carried):.2g} px. Export with --undistorted, and feed {to} the images "
-                "of `rgbd-calib correct --undistort`"
+                f"{name}: {error}; {to} needs another lens. Calibrate it with `--model kannala_brandt`"
+            ) from None
+        best, own = min(fits, key=lambda fit: fit[0].max_px)
+        off = f"{best.max_px:.2g} px at most, {best.rms_px:.2g} px RMS"
+        if not best.max_px <= max_px:
+            lost = [k for k, value in coefficients(lens).items() if value != 0.0]
+            raise ConfigError(
+                f"{name}: lens {lens.model} with {', '.join(lost)} seen, which {to} does not have; its nearest, {own.name}, is "
+                f"off by {off} over the image, {max_px:g} px allowed. Allow it with --max-px, or export with --undistorted and "
+                f"feed {to} the images of `rgbd-calib correct --undistort`"
             )
+        notes.append(f"{name}: lens {lens.model} refitted as {own.name}: off by {off}")
+        cameras[name] = replace(camera, intrinsics=best.intrinsics)
+    return replace(rig, cameras=cameras), tuple(notes)
 
 
 def bias_note(rig: Rig, to: str) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
-"""Kalibr's camchain.yaml: pinhole-radtan cameras, each posed against the one before.
+"""Kalibr's camchain.yaml: pinhole cameras with radtan or equidistant distortion, each posed against the one before.
 
-radtan is k1, k2, p1, p2: there is no k3. The chain starts at the reference camera; it has no world.
+radtan is k1, k2, p1, p2: there is no k3; equidistant is OpenCV's fisheye. The chain starts at the reference camera; it has no world.
 """
 
 from __future__ import annotations
@@ -8,14 +8,16 @@ from __future__ import annotations
 import numpy as np
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.io.exports.common import Export, Options, bias_note, refuse_lens
+from rgbd_calib.io.exports.common import Carried, Export, Options, bias_note, with_carried_lenses
 from rgbd_calib.io.files import dump_yaml
 from rgbd_calib.types import Rig
 
+LENSES = (Carried("opencv", 4, "radtan"), Carried("kannala_brandt", 4, "equidistant"))
+
 
 def export(rig: Rig, options: Options) -> Export:
-    """One YAML file; raises ConfigError where a camera has k3."""
-    refuse_lens(rig, "Kalibr", (True, True, True, True, False))
+    """One YAML file; raises ConfigError where a lens is like none of Kalibr's."""
+    rig, refitted = with_carried_lenses(rig, "Kalibr", LENSES, options.max_px)
     order = sorted(rig.cameras, key=lambda name: name != rig.reference)
     chain = {}
     for n, name in enumerate(order):
@@ -24,7 +26,7 @@ def export(rig: Rig, options: Options) -> Export:
         entry = {
             "camera_model": "pinhole",
             "intrinsics": [lens.fx, lens.fy, lens.cx, lens.cy],
-            "distortion_model": "radtan",
+            "distortion_model": "equidistant" if lens.model == "kannala_brandt" else "radtan",
             "distortion_coeffs": list(lens.distortion[:4]),
             "resolution": [lens.width, lens.height],
             "rostopic": f"/{name}/color/image_raw",
@@ -38,4 +40,4 @@ def export(rig: Rig, options: Options) -> Export:
     notes: tuple[str, ...] = (f"Kalibr numbers the cameras: {names}", "cam_overlaps lists all other cameras")
     if not np.array_equal(rig.cameras[order[0]].T_world_color, np.eye(4)):
         notes += (f"Kalibr has no world: poses are relative to {order[0]}",)
-    return Export({"": f"# {names}\n{dump_yaml(chain)}"}, notes + bias_note(rig, "Kalibr"))
+    return Export({"": f"# {names}\n{dump_yaml(chain)}"}, refitted + notes + bias_note(rig, "Kalibr"))

@@ -6,14 +6,14 @@ Open3D's pixel (0, 0) is the centre of the top left pixel, as here. Matrices are
 from __future__ import annotations
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.io.exports.common import Export, Options, bias_note, refuse_lens
+from rgbd_calib.io.exports.common import Carried, Export, Options, bias_note, with_carried_lenses
 from rgbd_calib.io.plain import to_json
 from rgbd_calib.types import Rig
 
 
 def export(rig: Rig, options: Options) -> Export:
-    """One JSON file; raises ConfigError where a camera has distortion."""
-    refuse_lens(rig, "Open3D", (False,) * 5)
+    """One JSON file; raises ConfigError where a camera is no pinhole."""
+    rig, refitted = with_carried_lenses(rig, "Open3D", (Carried("opencv", 0, "a pinhole"),), options.max_px)
     parameters = [
         {
             "class_name": "PinholeCameraParameters",
@@ -29,5 +29,9 @@ def export(rig: Rig, options: Options) -> Export:
         for camera in rig.cameras.values()
     ]
     head = {"class_name": "PinholeCameraTrajectory", "version_major": 1, "version_minor": 0}
-    notes = (f"Open3D knows no camera names; the order is {', '.join(rig.cameras)}", *bias_note(rig, "Open3D"))
+    notes = (
+        *refitted,
+        f"Open3D knows no camera names; the order is {', '.join(rig.cameras)}",
+        *bias_note(rig, "Open3D"),
+    )
     return Export({"": to_json(head | {"parameters": parameters}, indent=1) + "\n"}, notes)

@@ -26,6 +26,8 @@ def export(rig: Rig, options: Options) -> Export:
         store.write("image_height", lens.height)
         store.write("camera_matrix", lens.K)
         store.write("distortion_coefficients", np.array([lens.distortion]))
+        if lens.model == "kannala_brandt":
+            store.write("fisheye", 1)
         store.write("T_world_color", camera.T_world_color)
         if camera.depth_bias is not None:
             store.write("depth_bias_coefficients", np.array([camera.depth_bias.coefficients]))

@@ -1,4 +1,4 @@
-"""ROS: a camera_info file for each camera (plumb_bob, complete) and the poses as static transforms.
+"""ROS: a camera_info file for each camera (its lens complete) and the poses as static transforms.
 
 Frames are `world` and, for each camera, `NAME_color_optical_frame` (REP 103: x right, y down, z forward), so a static
 transform is T_world_color as it is. Pixel (0, 0) is the centre of the top left pixel, as here.
@@ -73,14 +73,16 @@ def _camera_info(name: str, lens: Intrinsics) -> dict[str, object]:
     def matrix(rows: int, cols: int, data: list[float]) -> dict[str, object]:
         return {"rows": rows, "cols": cols, "data": data}
 
+    fisheye = lens.model == "kannala_brandt"
+    model = "equidistant" if fisheye else "plumb_bob" if len(lens.distortion) <= 5 else "rational_polynomial"
     P = np.hstack([lens.K, np.zeros((3, 1))])
     return {
         "image_width": lens.width,
         "image_height": lens.height,
         "camera_name": name,
         "camera_matrix": matrix(3, 3, lens.K.ravel().tolist()),
-        "distortion_model": "plumb_bob",
-        "distortion_coefficients": matrix(1, 5, list(lens.distortion)),
+        "distortion_model": model,
+        "distortion_coefficients": matrix(1, len(lens.distortion), list(lens.distortion)),
         "rectification_matrix": matrix(3, 3, [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]),
         "projection_matrix": matrix(3, 4, P.ravel().tolist()),
     }

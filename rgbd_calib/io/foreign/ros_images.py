@@ -1,7 +1,8 @@
-"""Images of ROS messages as arrays."""
+"""Images of ROS messages as pictures."""
 
 from __future__ import annotations
 
+import struct
 from typing import Any
 
 import cv2
@@ -9,9 +10,8 @@ import numpy as np
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io import images
-from rgbd_calib.io.foreign.source import Kind
+from rgbd_calib.io.foreign.source import Encoded, Kind
 from rgbd_calib.io.schema_base import MAX_SIDE
-from rgbd_calib.io.tables import short
 
 _COMPRESSED_DEPTH_HEADER = 12  # bytes before the PNG, written by compressed_depth_image_transport
 _CHANNELS = {
@@ -40,31 +40,33 @@ _TO_BGR = {
 }
 
 
-def is_depth(topic: str) -> bool:
-    return "depth" in topic
-
-
-def decode_image(message: Any, kind: Kind, where: str) -> np.ndarray:
-    """Colour (h, w, 3) uint8, B G R, or depth (h, w) uint16 in mm, of an Image or CompressedImage message.
+def picture_of(message: Any, kind: Kind, where: str) -> np.ndarray | Encoded:
+    """An Image or CompressedImage message as a picture: depth of 16 bits as it is, 32FC1 in metres.
 
     Raises
     ------
     ConfigError
-        An encoding that is not known; `where` names the file and topic.
+        An encoding that is not known, or a damaged image; `where` names the file and topic.
     """
     if hasattr(message, "format"):
         return _decode_compressed(message, kind, where)
     encoding = str(message.encoding)
-    if kind == "depth":
-        sizes = {"16UC1": np.uint16, "mono16": np.uint16, "32FC1": np.float32}
+    if encoding.upper() == "MJPG":
+        return Encoded(np.asarray(message.data, np.uint8).tobytes(), ".jpg")
+    if kind != "color" and encoding not in _CHANNELS:
+        sizes = {"16UC1": np.uint16, "mono16": np.uint16, "Z16": np.uint16, "Y16": np.uint16, "32FC1": np.float32}
         if encoding not in sizes:
             raise _unknown(where, encoding, "16UC1 or 32FC1")
         dtype = np.dtype(sizes[encoding]).newbyteorder(">" if message.is_bigendian else "<")
         pixels = _pixels(message, dtype.itemsize, where).view(dtype)[..., 0]
-        return _millimetres(pixels) if encoding == "32FC1" else pixels.astype(np.uint16)
+        return pixels.astype(np.float32 if encoding == "32FC1" else np.uint16)
+    if kind == "ir" and _CHANNELS.get(encoding) == 1:
+        return np.ascontiguousarray(_pixels(message, 1, where)[..., 0])
     channels = _CHANNELS.get(encoding, 1 if encoding in _TO_BGR else 0)
     if not channels:
         raise _unknown(where, encoding, "an 8-bit colour encoding")
+    if kind != "color":
+        raise _unknown(where, encoding, "16UC1 or 32FC1")
     pixels = _pixels(message, channels, where)
     if encoding in ("bgr8", "8UC3"):
         return pixels
@@ -83,23 +85,32 @@ def _pixels(message: Any, size: int, where: str) -> np.ndarray:
     return np.ascontiguousarray(data.reshape(height, step)[:, : width * size]).reshape(height, width, size)
 
 
-def _decode_compressed(message: Any, kind: Kind, where: str) -> np.ndarray:
-    data = np.asarray(message.data, np.uint8)
-    if kind == "depth":
-        if "16UC1" not in message.format and "mono16" not in message.format and "png" not in message.format:
-            raise _unknown(where, str(message.format), "16UC1 in PNG")
-        if "compressedDepth" in message.format:
-            data = data[_COMPRESSED_DEPTH_HEADER:]
-    image = images.decode_image(data.tobytes(), where)
-    if image.dtype != (np.uint8 if kind == "color" else np.uint16) or (kind == "depth" and image.ndim != 2):
-        raise _unknown(where, f"{short(str(message.format))} of {image.dtype}", "JPEG or PNG, 16 bits for depth")
+def _decode_compressed(message: Any, kind: Kind, where: str) -> np.ndarray | Encoded:
+    data, form = np.asarray(message.data, np.uint8).tobytes(), str(message.format)
+    if "compressedDepth" in form:
+        header, data = data[:_COMPRESSED_DEPTH_HEADER], data[_COMPRESSED_DEPTH_HEADER:]
+        if "rvl" in form.lower():
+            raise _unknown(where, form, "PNG")
+        if "32FC1" in form:
+            return _inverse_depth(data, header, where)
+    elif kind == "depth" and not any(word in form for word in ("16UC1", "mono16", "png", "tiff")):
+        raise _unknown(where, form, "16UC1 in PNG")
+    for start, suffix in ((b"\xff\xd8", ".jpg"), (b"\x89PNG", ".png")):
+        if data.startswith(start):
+            return Encoded(data, suffix)
+    image = images.decode_image(data, where)
     return images.as_bgr(image) if kind == "color" else image
 
 
-def _millimetres(depth_m: np.ndarray) -> np.ndarray:
-    """Metres as float to whole millimetres; what is no number or out of range becomes 0."""
-    good = np.isfinite(depth_m) & (depth_m > 0) & (depth_m < 65.535)
-    return np.where(good, np.rint(np.where(good, depth_m, 0) * 1000), 0).astype(np.uint16)
+def _inverse_depth(data: bytes, header: bytes, where: str) -> np.ndarray:
+    """Metres of compressed_depth_image_transport's 32FC1: PNG values v of A / z + B, with A and B in the header."""
+    values = images.decode_image(data, where)
+    if len(header) < _COMPRESSED_DEPTH_HEADER or values.dtype != np.uint16 or values.ndim != 2:
+        raise _unknown(where, f"32FC1 in {values.dtype}", "16-bit PNG")
+    a, b = struct.unpack_from("<2f", header, 4)
+    with np.errstate(all="ignore"):
+        depth_m = a / (values.astype(np.float64) - b)
+    return np.where((values > 0) & np.isfinite(depth_m) & (depth_m > 0), depth_m, np.nan).astype(np.float32)
 
 
 def _unknown(where: str, seen: str, needed: str) -> ConfigError:

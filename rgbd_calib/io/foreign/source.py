@@ -1,21 +1,33 @@
-"""What every reader of foreign recordings offers, and which of its pictures belong to one instant."""
+"""What every reader of foreign recordings offers: cameras, times or names of pictures, and the pictures one by one."""
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.io.layout import Kind as Kind
+from rgbd_calib.types import Board
 
-Kind = Literal["color", "depth"]
 Stamps = Mapping[Kind, Sequence[int]]
 """Times of a camera's pictures in the order in which the source delivers them, us."""
+Stems = Mapping[Kind, Sequence[str]]
+"""Names of a camera's pictures, in the same order: equal names are one instant."""
+Wanted = Callable[[str, Kind, int], bool]
+"""Whether picture number `index` of a kind of a camera is wanted."""
 
-DEFAULT_PERIOD_US = 33_333
+
+@dataclass(frozen=True)
+class Encoded:
+    """An image as the bytes of a file that recordings have as they are: JPEG or PNG."""
+
+    data: bytes
+    suffix: str
+    """As `.jpg`."""
 
 
 @dataclass(frozen=True)
@@ -25,90 +37,51 @@ class Picture:
     camera: str
     kind: Kind
     index: int
-    pixels: np.ndarray
-    """Colour (h, w, 3) uint8, B G R; depth (h, w) uint16, 0 = none."""
+    pixels: np.ndarray | Encoded
+    """Colour (h, w, 3) uint8, B G R; depth (h, w), uint16, 0 = none, or float32, metres; infrared (h, w), uint8 or uint16."""
 
 
-class Source(Protocol):
-    """A foreign recording of one or more cameras that share a clock."""
+@dataclass(frozen=True, eq=False)
+class SourceCamera:
+    """What a source says of a camera."""
+
+    intrinsics: Intrinsics | None = None
+    serial: str | None = None
+    depth_scale: float | None = None
+    """Metres for each unit of its 16-bit depth; None: it does not say."""
+    registered: bool | None = None
+    """Depth lies on its colour image; None: it does not say."""
+    depth_intrinsics: Intrinsics | None = None
+    """Of depth that is not registered, and of infrared images."""
+    T_color_depth: FloatArray | None = None
+    """(4, 4), p_color = T_color_depth @ p_depth, metres."""
+    float_unit_m: float | None = None
+    """Metres for each unit of its floating-point depth; None: its values tell."""
+    invalid: tuple[float, ...] = ()
+    """Values of depth besides 0 and 65535 that mean "no measurement"."""
+
+
+class Source(ABC):
+    """A foreign recording of one or more cameras."""
 
     name: str
-    depth_scale: float
-    """Metres for each unit of depth."""
-    remarks: tuple[str, ...]
-    """What the user should know, such as that registration is unknown."""
-    intrinsics: Mapping[str, Intrinsics]
-    """Of the cameras that the recording describes."""
+    """Its path, for messages."""
+    cameras: Mapping[str, SourceCamera]
+    remarks: tuple[str, ...] = ()
+    """What the user should know: what was assumed, and what of it is not used."""
+    clock: str | None = None
+    """Sources of the same clock have one time; None: a clock of its own."""
+    board: Board | None = None
+    """The board that it says was filmed."""
 
+    @abstractmethod
     def stamps(self) -> Mapping[str, Stamps]:
-        """Times of all pictures by camera."""
-        ...
+        """Times of all pictures by camera; empty sequences where there are none."""
 
-    def pictures(self) -> Iterator[Picture]:
-        """All pictures, each stream in the order of its stamps."""
-        ...
+    def stems(self) -> Mapping[str, Stems] | None:
+        """Names of all pictures by camera, where equal names are one instant; None where times tell it."""
+        return None
 
-
-@dataclass(frozen=True)
-class Plan:
-    """Which pictures make which frame."""
-
-    frames: list[dict[tuple[str, Kind], int]] = field(default_factory=list)
-    """For each frame, in order of time: {(camera, kind): index of the picture}."""
-    lone_depth: dict[str, int] = field(default_factory=dict)
-    """{camera: depth pictures without a colour picture}: a frame needs colour."""
-    lone_color: dict[str, int] = field(default_factory=dict)
-    """{camera: colour pictures without depth}: written without it."""
-
-
-def plan_frames(stamps: Mapping[str, Stamps]) -> Plan:
-    """Pair colour and depth of each camera, then join what several cameras took at the same time.
-
-    Colour and depth belong together where each is the other's nearest within half a period; pictures of different
-    cameras where they lie within half a period.
-    """
-    plan = Plan()
-    colors: list[tuple[int, str, int]] = []
-    partners: dict[tuple[str, int], int] = {}
-    half_us = min((_period_us(s["color"]) for s in stamps.values() if s.get("color")), default=DEFAULT_PERIOD_US) / 2
-    for camera, streams in stamps.items():
-        color_us, depth_us = list(streams.get("color", ())), list(streams.get("depth", ()))
-        pairs = pair_nearest(color_us, depth_us, _period_us(color_us) / 2)
-        partners.update({(camera, c): d for c, d in pairs.items()})
-        plan.lone_depth[camera] = len(depth_us) - len(pairs)
-        plan.lone_color[camera] = len(color_us) - len(pairs)
-        colors += [(t, camera, i) for i, t in enumerate(color_us)]
-    start_us = 0
-    for time_us, camera, index in sorted(colors):
-        if not plan.frames or time_us - start_us > half_us or (camera, "color") in plan.frames[-1]:
-            plan.frames.append({})
-            start_us = time_us
-        plan.frames[-1][camera, "color"] = index
-        if (camera, index) in partners:
-            plan.frames[-1][camera, "depth"] = partners[camera, index]
-    return plan
-
-
-def pair_nearest(color_us: Sequence[int], depth_us: Sequence[int], tolerance_us: float) -> dict[int, int]:
-    """{index of colour: index of depth} where each is the other's nearest, within the tolerance."""
-
-    def nearest(time_us: int, order: list[int], times: Sequence[int]) -> int:
-        at = bisect_left(order, time_us, key=lambda i: times[i])
-        return min(order[max(0, at - 1) : at + 1], key=lambda i: abs(times[i] - time_us))
-
-    if not color_us or not depth_us:
-        return {}
-    by_color = sorted(range(len(color_us)), key=lambda i: color_us[i])
-    by_depth = sorted(range(len(depth_us)), key=lambda i: depth_us[i])
-    pairs = {}
-    for c, time_us in enumerate(color_us):
-        d = nearest(time_us, by_depth, depth_us)
-        if abs(depth_us[d] - time_us) <= tolerance_us and nearest(depth_us[d], by_color, color_us) == c:
-            pairs[c] = d
-    return pairs
-
-
-def _period_us(times_us: Sequence[int]) -> float:
-    if len(times_us) < 3:
-        return DEFAULT_PERIOD_US
-    return float(np.median(np.diff(np.sort(np.asarray(times_us, np.int64)))))
+    @abstractmethod
+    def pictures(self, wanted: Wanted) -> Iterator[Picture]:
+        """The wanted pictures, each stream in the order of its stamps; one at a time is in memory."""

@@ -1,6 +1,7 @@
-"""RGB-D folders of the Technical University of Munich: rgb.txt and depth.txt, lines of `seconds file`.
+"""RGB-D folders of the Technical University of Munich, and of those that follow it (Bonn, ICL-NUIM): rgb.txt and depth.txt,
+lines of `seconds file`, or associations.txt, lines of `seconds file seconds file`, depth first or colour first.
 
-The depth images hold 5000 units a metre, registered to colour.
+Depth is registered to colour. TUM's has 5000 units a metre, others 1000, and no file says so.
 https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats
 """
 
@@ -13,13 +14,12 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
-from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.files import read_bytes
-from rgbd_calib.io.foreign.source import Kind, Picture, Stamps
-from rgbd_calib.io.images import as_bgr, read_image
+from rgbd_calib.io.foreign.pictures import read_picture
+from rgbd_calib.io.foreign.source import Encoded, Kind, Picture, Source, SourceCamera, Stamps, Wanted
+from rgbd_calib.io.layout import others
 from rgbd_calib.io.tables import short
 
-DEPTH_SCALE = 1 / 5000
 MAX_LIST_BYTES = 64 << 20
 MAX_PATH = 500
 MAX_SECONDS = 1e10
@@ -27,34 +27,48 @@ MAX_SECONDS = 1e10
 
 
 def is_tum(path: Path) -> bool:
-    """True for a folder with rgb.txt."""
-    return (path / "rgb.txt").is_file()
+    """True for a folder with rgb.txt, or with pairs of files."""
+    return (path / "rgb.txt").is_file() or _associations(path) is not None
 
 
-class TumFolder:
+class TumFolder(Source):
     """One camera from a TUM folder."""
 
     def __init__(self, path: Path, camera: str) -> None:
         self.name = str(path)
-        self.depth_scale = DEPTH_SCALE
-        self.remarks: tuple[str, ...] = ()
-        self.intrinsics: Mapping[str, Intrinsics] = {}
         self._path = path
         self._camera = camera
-        self._lists: dict[Kind, list[tuple[int, str]]] = {"color": _read_list(path / "rgb.txt")}
-        if (path / "depth.txt").exists():
-            self._lists["depth"] = _read_list(path / "depth.txt")
+        self._lists: dict[Kind, list[tuple[int, str]]] = {}
+        pairs = _associations(path)
+        if (path / "rgb.txt").is_file() or pairs is None:
+            self._lists["color"] = _read_list(path / "rgb.txt")
+            if (path / "depth.txt").exists():
+                self._lists["depth"] = _read_list(path / "depth.txt")
+        else:
+            first, second = _read_list(pairs, 0), _read_list(pairs, 2)
+            depth_first = bool(first) and "depth" in first[0][1].lower()
+            self._lists = {"color": second, "depth": first} if depth_first else {"color": first, "depth": second}
+        self.cameras = {camera: SourceCamera(registered=True)}
+        left = others(path, {file for entries in self._lists.values() for _, file in entries})
+        self.remarks = (left,) if left else ()
 
     def stamps(self) -> Mapping[str, Stamps]:
         return {self._camera: {kind: [t for t, _ in entries] for kind, entries in self._lists.items()}}
 
-    def pictures(self) -> Iterator[Picture]:
+    def pictures(self, wanted: Wanted) -> Iterator[Picture]:
         entries = [(t, kind, i, f) for kind, listed in self._lists.items() for i, (t, f) in enumerate(listed)]
         for _, kind, index, file in sorted(entries):
-            yield Picture(self._camera, kind, index, _read_image(self._path / file, kind))
+            if wanted(self._camera, kind, index):
+                yield Picture(self._camera, kind, index, _read_image(self._path / file, kind))
 
 
-def _read_list(path: Path) -> list[tuple[int, str]]:
+def _associations(path: Path) -> Path | None:
+    names = ("associations.txt", "associate.txt", "association.txt", "associated.txt")
+    return next((path / name for name in names if (path / name).is_file()), None)
+
+
+def _read_list(path: Path, column: int = 0) -> list[tuple[int, str]]:
+    """(time, file) of the two columns from `column` on, time in us."""
     entries = []
     try:
         lines = read_bytes(path, MAX_LIST_BYTES).decode("utf-8").splitlines()
@@ -65,6 +79,7 @@ def _read_list(path: Path) -> list[tuple[int, str]]:
             continue
         words = line.split()
         try:
+            words = words[column : column + 2]
             seconds, file = float(words[0]), PurePosixPath(words[1])
             if not 0 <= seconds < MAX_SECONDS or len(words[1]) > MAX_PATH:
                 raise ValueError
@@ -78,14 +93,7 @@ def _read_list(path: Path) -> list[tuple[int, str]]:
     return entries
 
 
-def _read_image(path: Path, kind: Kind) -> np.ndarray:
+def _read_image(path: Path, kind: Kind) -> np.ndarray | Encoded:
     if not os.path.isfile(path):  # false for names that no disk takes
         raise ConfigError(f"{path}: no such image; {kind}.txt lists it. Copy the recording again")
-    image = read_image(path)
-    if kind == "color":
-        if image.dtype != np.uint8:
-            raise ConfigError(f"{path}: {image.dtype} seen, 8 bits a channel needed for colour. Convert it")
-        return as_bgr(image)
-    if image.dtype != np.uint16 or image.ndim != 2:
-        raise ConfigError(f"{path}: {image.dtype} with {image.ndim} dimensions seen, 16 bits and one channel needed")
-    return image
+    return read_picture(path, kind)

@@ -2,7 +2,8 @@
 
 A checkerboard is found in four steps. :mod:`.saddles` finds saddle points of the brightness; :mod:`.grids` links them to
 grids; :mod:`.checkerboard` selects the grid that has the board's numbers of columns and rows, and checks the colours of
-its squares; :mod:`.subpixel` fits a model to the brightness around each corner, and drops outliers. A ChArUco board (:mod:`.charuco`) may be seen in part. :mod:`.depth` gives the depth.
+its squares; :mod:`.subpixel` fits a model to the brightness around each corner, and drops outliers. A ChArUco board
+(:mod:`.charuco`) or an AprilGrid (:mod:`.aprilgrid`) may be seen in part. :mod:`.depth` gives the depth.
 
 Order of the corners: columns and rows make a right-handed pair in the image (x right, y down), and where cols + rows
 is odd the inner square next to corner (0, 0) is black; where it is even, a half turn stays undecided here.
@@ -16,11 +17,12 @@ import numpy as np
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import Board, BoardView, IntArray
+from rgbd_calib.views.detect.aprilgrid import find_aprilgrid
 from rgbd_calib.views.detect.charuco import find_charuco
 from rgbd_calib.views.detect.checkerboard import find_checkerboard, grid_sizes, orient
 from rgbd_calib.views.detect.depth import corner_depth
 from rgbd_calib.views.detect.params import DetectParams
-from rgbd_calib.views.detect.subpixel import refine
+from rgbd_calib.views.detect.subpixel import Surroundings, refine
 
 __all__ = [
     "DetectParams",
@@ -39,8 +41,8 @@ def find_corners(
 ) -> tuple[IntArray, FloatArray] | None:
     """Corner numbers (n,) and pixels (n, 2) of the board in a grey image (h, w) uint8, or None.
 
-    A checkerboard is found whole, though corners that something covers may be missing; a ChArUco board may be seen in
-    part.
+    A checkerboard is found whole, though corners that something covers may be missing; a ChArUco board or an AprilGrid may
+    be seen in part.
 
     Raises
     ------
@@ -48,8 +50,13 @@ def find_corners(
         A board that cannot be found in any image: its quarter turns look alike, or its dictionary is unknown.
     """
     params = params or DetectParams()
+    clear: Surroundings | None = None
     if board.type == "charuco":
         found = find_charuco(gray, board)
+        clear = Surroundings((1 - board.marker_m / board.square_m) / 2)
+    elif board.type == "aprilgrid":
+        tags = find_aprilgrid(gray, board)
+        found, clear = (None, None) if tags is None else (tags[:2], tags[2])
     elif board.cols == board.rows:
         raise ConfigError(
             f"board: {board.cols} x {board.rows} inner corners; a board with as many columns as rows cannot be told from "
@@ -60,8 +67,7 @@ def find_corners(
     if found is None:
         return None
     ids, corners_px = found
-    clear = (1 - board.marker_m / board.square_m) / 2 if board.type == "charuco" else None
-    corners_px, good = refine(gray, np.column_stack([ids % board.cols, ids // board.cols]), corners_px, clear)
+    corners_px, good = refine(gray, board.grid[ids], corners_px, clear)
     if good.sum() < max(params.min_corners, params.min_share * len(ids)):
         return None
     return ids[good], corners_px[good]

@@ -61,14 +61,25 @@ def _misfit(layout: cv2.aruco.CharucoBoard, square_m: float, markers: Sequence[n
     return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
 
 
-def _layout(board: Board, legacy: bool) -> cv2.aruco.CharucoBoard:
-    number = getattr(cv2.aruco, board.dictionary, None) if board.dictionary.startswith("DICT_") else None
+def predefined(name: str) -> cv2.aruco.Dictionary:
+    """The dictionary of markers that OpenCV calls so.
+
+    Raises
+    ------
+    ConfigError
+        There is none.
+    """
+    number = getattr(cv2.aruco, name, None) if name.startswith("DICT_") else None
     if number is None:
         known = ", ".join(name for name in dir(cv2.aruco) if name.startswith("DICT_"))
         raise ConfigError(
-            f"board: dictionary {board.dictionary!r} seen, one of {known} needed. Correct it where the board is described"
+            f"board: dictionary {name!r} seen, one of {known} needed. Correct it where the board is described"
         )
-    dictionary = cv2.aruco.getPredefinedDictionary(number)
+    return cv2.aruco.getPredefinedDictionary(number)
+
+
+def _layout(board: Board, legacy: bool) -> cv2.aruco.CharucoBoard:
+    dictionary = predefined(board.dictionary)
     layout = cv2.aruco.CharucoBoard((board.cols + 1, board.rows + 1), board.square_m, board.marker_m, dictionary)
     layout.setLegacyPattern(legacy)
     return layout

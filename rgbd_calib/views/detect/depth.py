@@ -62,21 +62,27 @@ def _cells(
     shape: tuple[int, ...], board: Board, ids: IntArray, corners_px: FloatArray
 ) -> tuple[IntArray, IntArray, IntArray, IntArray]:
     """Pixels of the corners' cells: row of the corner, u, v (each (m,)), and each cell's size in pixels (n,)."""
-    r, c = np.divmod(ids, board.cols)
-    H, _ = cv2.findHomography(corners_px, np.column_stack([c, r]).astype(float))
+    H, _ = cv2.findHomography(corners_px, board.grid[ids])
     H = H * np.sign(H[2] @ [*corners_px[0], 1.0])  # positive on the board's side of the vanishing line
     reach = np.ceil(np.ptp(corners_px, axis=0) / max(min(board.cols, board.rows) - 1, 1) + 2)
     lo = np.maximum(np.floor(corners_px.min(axis=0) - reach), 0).astype(int)
     hi = np.minimum(np.ceil(corners_px.max(axis=0) + reach), [shape[1] - 1, shape[0] - 1]).astype(int)
     u, v = (g.ravel() for g in np.meshgrid(np.arange(lo[0], hi[0] + 1), np.arange(lo[1], hi[1] + 1)))
     on_board = np.column_stack([u, v, np.ones(len(u))]) @ H.T
-    col, row = np.round(on_board[:, :2] / on_board[:, 2:]).astype(int).T
+    x, y = (on_board[:, :2] / on_board[:, 2:]).T
+    col, row = _nearest(board.grid[: board.cols, 0], x), _nearest(board.grid[:: board.cols, 1], y)
     row_of = np.full(board.n_corners, -1)
     row_of[ids] = np.arange(len(ids))
     inside = (col >= 0) & (col < board.cols) & (row >= 0) & (row < board.rows) & (on_board[:, 2] > 0)
     cell = np.where(inside, row_of[np.where(inside, row * board.cols + col, 0)], -1)
     keep = cell >= 0
     return cell[keep], u[keep], v[keep], np.bincount(cell[keep], minlength=len(ids))
+
+
+def _nearest(lines: FloatArray, x: FloatArray) -> IntArray:
+    """Which of the lines (n,), in order, is nearest to each x (m,); -1 and n beyond half a square from the outer ones."""
+    middles = [lines[0] - 0.5, *(lines[1:] + lines[:-1]) / 2, lines[-1] + 0.5]
+    return np.searchsorted(middles, x) - 1
 
 
 def _least_median(A: FloatArray, q: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, float]:

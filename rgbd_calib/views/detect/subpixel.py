@@ -21,6 +21,8 @@ with the others: corners of a plane are a homography of the grid, and lens and b
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from scipy.spatial import cKDTree
@@ -50,17 +52,27 @@ GROSS_SQUARES = 0.08
 The last is for the lens: in the corners of an image, a cubic leaves 0.04 squares of its distortion."""
 
 
+@dataclass(frozen=True)
+class Surroundings:
+    """How far from a corner of a board with markers there are two black and two white quadrants, in squares."""
+
+    beside: float
+    """To both sides of the edges that meet in the corner."""
+    along: float = np.inf
+    """Along these edges."""
+
+
 def refine(
-    gray: np.ndarray, grid: FloatArray, corners_px: FloatArray, clear: float | None = None
+    gray: np.ndarray, grid: FloatArray, corners_px: FloatArray, clear: Surroundings | None = None
 ) -> tuple[FloatArray, np.ndarray]:
     """Corners (n, 2), px, refined, and which of them are good (n,).
 
     Parameters
     ----------
     gray : (h, w), uint8.
-    grid : (n, 2), column and row of each corner on the board.
+    grid : (n, 2), where each corner is on the board, in squares.
     corners_px : (n, 2), within a third of a square.
-    clear : where markers stand in the white squares, the clear width beside a square's sides, in squares.
+    clear : where markers are near, how far from them the corners are; None: a checkerboard.
     """
     sides = _sides(grid, corners_px)
     if sides is None:
@@ -85,7 +97,7 @@ def fit_crossings(
     gray: np.ndarray,
     start_px: FloatArray,
     sides: FloatArray,
-    clear: float | None = None,
+    clear: Surroundings | None = None,
     light: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Corners (n, 2), px, of the model in the module's head, the share of the variance that it explains (n,), and g (2,).
@@ -222,7 +234,7 @@ def _gradients(gray: np.ndarray, corners_px: FloatArray, sides: FloatArray) -> F
 
 
 def _windows(
-    gray: np.ndarray, start_px: FloatArray, origin: np.ndarray, sides: FloatArray, clear: float | None
+    gray: np.ndarray, start_px: FloatArray, origin: np.ndarray, sides: FloatArray, clear: Surroundings | None
 ) -> tuple[np.ndarray, ...]:
     """Pixels around corners (n, m), float32: offsets from `origin` along x and along y, brightness, and weight, which is 0
     where a corner has fewer than m."""
@@ -236,8 +248,10 @@ def _windows(
     s, t = np.abs(np.linalg.inv(sides.transpose(0, 2, 1)) @ off).transpose(1, 0, 2)
     used = inside & (s <= reach[:, :1]) & (t <= reach[:, 1:])
     if clear is not None:
-        room = np.maximum(clear - 1.0 / lengths, 0.5 / lengths)  # a pixel for the blur of the marker's rim
+        room = np.maximum(clear.beside - 1.0 / lengths, 0.5 / lengths)  # a pixel for the blur of the marker's rim
         used &= (s <= room[:, :1]) | (t <= room[:, 1:])
+        reach = np.maximum(clear.along - 1.0 / lengths, 1.5 / lengths)
+        used &= (s <= reach[:, :1]) & (t <= reach[:, 1:])
     pixels = np.argsort(~used, axis=1, kind="stable")[:, : max(int(used.sum(axis=1).max()), 1)]
     dx, dy, weight = dx[pixels], dy[pixels], np.take_along_axis(used, pixels, axis=1)
     value = gray[np.clip(origin[:, 1:] + dy, 0, gray.shape[0] - 1), np.clip(origin[:, :1] + dx, 0, gray.shape[1] - 1)]

@@ -3,11 +3,12 @@ is the measure for what is odd in it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from rgbd_calib.views.depth_scale import name_factor
 from rgbd_calib.views.doctor.findings import Finding, Kind, listed
 from rgbd_calib.views.doctor.measures import BLACK, ImageMeasures, ViewMeasures
 
@@ -182,7 +183,8 @@ def check_sharpness(
     lost: list[Key] = []
     for camera in {c for c, _ in (*views, *missed)}:
         mine = {k: m for k, m in views.items() if k[0] == camera}
-        usual = np.nanmedian([m.edge_px for m in mine.values()]) if mine else np.nan
+        widths = [m.edge_px for m in mine.values() if not np.isnan(m.edge_px)]  # of checkerboards only
+        usual = np.median(widths) if widths else np.nan
         usual_texture = np.median([m.texture for m in mine.values()]) if mine else np.nan
         for key, m in mine.items():
             wide = m.edge_px > max(params.max_edge_ratio * usual, usual + params.max_edge_px)
@@ -218,6 +220,25 @@ def check_empty(images: set[Key], seen: set[Key]) -> list[Finding]:
         f"no camera shows the board in {listed(empty)}. They add nothing: hold the board where two cameras see it whole"
     )
     return [Finding("not found", (), empty, False, text)]
+
+
+def check_depth_unit(offsets: Mapping[Key, tuple[float, float]], lens_known: Collection[str]) -> list[Finding]:
+    """Cameras whose depth differs from the board's distance by its pixels by a factor that lies between units.
+
+    `offsets` are the board's distance by pixels, metres, and depth over it less one, by view; factors below 2 are judged
+    for cameras whose lens is given or estimated, `lens_known`.
+    """
+    findings = []
+    for camera in dict.fromkeys(camera for camera, _ in offsets):
+        ratio = float(np.median([1 + share for (name, _), (_, share) in offsets.items() if name == camera]))
+        factor = name_factor(ratio)
+        if factor and (camera in lens_known or not 0.5 < ratio < 2):
+            text = (
+                f"{camera}: measured depth is {ratio:.3g} times the board's distance by its pixels, about 1 needed; {factor}. "
+                "Correct depth_scale in dataset.yaml, or the board's square if all cameras agree"
+            )
+            findings.append(Finding("depth unit", (camera,), (), True, text))
+    return findings
 
 
 def check_depth(

@@ -9,6 +9,7 @@ from typing import Literal
 Kind = Literal[
     "damaged", "missing", "unsynchronised", "blurred", "moved", "depth late", "not the board", "not found", "no depth",
     "covered", "overexposed", "underexposed", "not joined", "coverage", "not read", "not registered",
+    "depth unit",
 ]  # fmt: skip
 
 

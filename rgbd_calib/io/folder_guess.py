@@ -1,0 +1,303 @@
+"""The layout of a folder of images that nobody described: which files are whose colour, depth or infrared images.
+
+Names are compared: the run of digits that differs most from file to file numbers the frames, words say colour, depth or
+infrared where the pixels do not, and what is left of the path and differs between streams names the camera.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from rgbd_calib.errors import ConfigError
+from rgbd_calib.io.camera_names import CAMERA, FRAME, TOKENS, name_cameras
+from rgbd_calib.io.images import DEPTH_SUFFIXES, SUFFIXES
+from rgbd_calib.io.layout import KINDS, FilePatterns, Kind, walk
+from rgbd_calib.io.schema_base import check_name
+from rgbd_calib.io.sniff import Sniffed, sniff
+
+_DIGITS = re.compile(r"\d+")
+_CAMERA_WORDS = (
+    "c",
+    "cam",
+    "camera",
+    "k",
+    "kinect",
+    "dev",
+    "device",
+    "sensor",
+    "view",
+    "cn",
+    "rs",
+    "azure",
+    "n",
+    "node",
+)
+_DEPTH_WORDS = ("depth", "dpt", "range", "tof", "z16", "disparity")
+_IR_WORDS = ("ir", "infra", "infrared", "nir", "amplitude")
+_OTHER_WORDS = ("mask", "label", "seg", "normal", "conf", "confidence", "vis", "colormap", "preview", "points", "cloud")
+_REGISTERED_WORDS = ("align", "aligned", "regist", "registered", "warped", "transformed", "reg")
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Files of one kind of one camera."""
+
+    template: str
+    """The path of its files with {frame} in it."""
+    files: Mapping[str, str]
+    """Path, relative to the folder, by frame."""
+    sniffed: Sniffed
+
+    @property
+    def words(self) -> set[str]:
+        return {token.lower() for token in TOKENS.findall(self.template)}
+
+    @property
+    def is_depth(self) -> bool:
+        return any(word.startswith(_DEPTH_WORDS) for word in self.words)
+
+    @property
+    def is_other(self) -> bool:
+        return any(word.startswith(_OTHER_WORDS) for word in self.words)
+
+
+@dataclass(frozen=True)
+class Guess:
+    """The streams of a folder, by kind and camera."""
+
+    streams: Mapping[Kind, Mapping[str, Stream]]
+    patterns: FilePatterns
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        return tuple(self.streams["color"])
+
+    @property
+    def standard(self) -> bool:
+        """Files lie as CAM/color/STEM.png and the like, so that patterns need not be stated."""
+        return all(
+            stream.template.rpartition(".")[0] == f"{camera}/{kind}/{FRAME}"
+            for kind, of_kind in self.streams.items()
+            for camera, stream in of_kind.items()
+        )
+
+
+def guess_layout(
+    root: Path,
+    given: Mapping[Kind, str] | None = None,
+    more: tuple[str, ...] = (),
+    look: Callable[[Path], Sniffed | None] | None = None,
+) -> Guess:
+    """Look at the names and headers of all images in a folder.
+
+    Parameters
+    ----------
+    given
+        Patterns that are known, by kind; the others are guessed. With `color` given, nothing is guessed.
+    more
+        Suffixes of images besides those that recordings read.
+    look
+        Type and size of an image file; by default that of :func:`rgbd_calib.io.sniff.sniff`.
+
+    Raises
+    ------
+    ConfigError
+        No colour images, or names that do not tell which camera is which: says what was seen.
+    """
+    if given and "color" in given:
+        return _given(root, given, look or sniff)
+    best: Guess | None = None
+    failed: ConfigError | None = None
+    for mode in ("whole", "first", "last"):  # of names with two numbers for each frame
+        try:
+            guess = _assign(root, *find_streams(root, mode, more, look or sniff))
+        except ConfigError as error:
+            failed = failed or error
+            continue
+        if best is None or _coinciding(guess) > _coinciding(best):
+            best = guess
+    if best is None:
+        raise failed or ConfigError(f"{root}: no images in it")
+    return best
+
+
+def _coinciding(guess: Guess) -> int:
+    depth = guess.streams["depth"]
+    return sum(len(set(s.files) & set(depth[c].files)) for c, s in guess.streams["color"].items() if c in depth)
+
+
+def find_streams(
+    root: Path, mode: str, more: tuple[str, ...], look: Callable[[Path], Sniffed | None]
+) -> tuple[list[Stream], list[str]]:
+    """Every set of files that differ by their frame alone, and what was left out."""
+    shapes: dict[str, list[str]] = defaultdict(list)
+    for path in walk(root):
+        if Path(path).suffix.lower() in (*SUFFIXES, *DEPTH_SUFFIXES, *more):
+            shapes[_DIGITS.sub("#", path.rpartition(".")[0]) + Path(path).suffix].append(path)
+    for shape in [s for s, paths in shapes.items() if len(paths) == 1 and "#" not in s.rpartition("/")[2]]:
+        folder = shapes[shape][0].rpartition("/")[0]  # names without numbers: all of the folder
+        shapes[f"{folder}/*{Path(shape).suffix}"] += shapes.pop(shape)
+    found: dict[str, dict[str, str]] = defaultdict(dict)
+    for paths in shapes.values():
+        for template, frame, path in _numbered(paths, mode):
+            found[template][frame] = path
+    streams, remarks = [], []
+    for template, files in sorted(found.items()):
+        files = dict(sorted(files.items()))
+        looks = {look(root / files[frame]) for frame in _some(list(files))}
+        one = next(iter(looks))
+        if len(looks) == 1 and one is not None:
+            streams.append(Stream(template, files, one))
+        else:
+            why = "no images that can be read" if looks == {None} else "images of several kinds or sizes"
+            remarks.append(f"{len(files)} files {template} are not used ({why})")
+    return streams, remarks
+
+
+def _some(frames: list[str]) -> list[str]:
+    return [frames[i] for i in sorted({0, len(frames) // 2, len(frames) - 1})]
+
+
+def _numbered(paths: Sequence[str], mode: str) -> list[tuple[str, str, str]]:
+    """(template, frame, path) of paths that are equal but for their numbers."""
+    runs = [list(_DIGITS.finditer(path)) for path in paths]
+    suffix_at = [path.rindex(".") for path in paths]
+    runs = [[r for r in own if r.end() <= at] for own, at in zip(runs, suffix_at, strict=True)]
+    if len({len(own) for own in runs}) > 1 or not runs[0] or (len(paths) == 1 and "/" in paths[0][runs[0][-1].end() :]):
+        return [_whole_stem(path) for path in paths]
+    columns = list(range(len(runs[0])))
+    values = {c: [own[c].group() for own in runs] for c in columns}
+
+    def rank(c: int) -> tuple[bool, int, bool, int]:
+        before = re.search(r"([A-Za-z]*)[^A-Za-z\d]?$", paths[0][: runs[0][c].start()])
+        like_camera = before is not None and before[1].lower() in _CAMERA_WORDS
+        in_name = "/" not in paths[0][runs[0][c].end() :]
+        return not like_camera or len(paths) == 1, len(set(values[c])), in_name, c
+
+    chosen = max(columns, key=rank)
+    if not rank(chosen)[0] and len(columns) == 1:
+        return [_whole_stem(path) for path in paths]  # one image of each camera
+    same = [c for c in columns if len(set(zip(values[c], values[chosen], strict=True))) == len(set(values[chosen]))]
+    twins = [c for c in same if len(set(values[c])) == len(set(values[chosen]))]
+    out = []
+    for path, own in zip(paths, runs, strict=True):
+        # several numbers in one name that count the same frames: `000001-33366699.jpg`
+        beside = [
+            c
+            for c in twins
+            if "/" not in path[min(own[c].start(), own[chosen].start()) : max(own[c].end(), own[chosen].end())]
+        ]
+        if mode == "whole":
+            spans = [(min(own[c].start() for c in beside), max(own[c].end() for c in beside))]
+            loose = []
+        else:
+            at = own[beside[0 if mode == "first" else -1]]
+            spans, loose = [at.span()], [own[c].span() for c in beside if own[c].span() != at.span()]
+        frame = path[slice(*spans[0])]
+        spans += [own[c].span() for c in columns if c not in beside and own[c].group() == frame and c in twins]
+        pieces = sorted([(s, FRAME) for s in spans] + [(s, "*") for s in loose])
+        out.append((_replaced(path, pieces), frame, path))
+    return out
+
+
+def _whole_stem(path: str) -> tuple[str, str, str]:
+    folder, slash, name = path.rpartition("/")
+    stem, dot, suffix = name.rpartition(".")
+    return f"{folder}{slash}{FRAME}{dot}{suffix}", stem, path
+
+
+def _replaced(path: str, pieces: Sequence[tuple[tuple[int, int], str]]) -> str:
+    out, at = "", 0
+    for (start, end), text in pieces:
+        out += path[at:start] + text
+        at = end
+    return out + path[at:]
+
+
+def _assign(root: Path, streams: Sequence[Stream], remarks: Sequence[str]) -> Guess:
+    """Which stream is which kind of which camera."""
+    by_kind: dict[Kind, list[Stream]] = {kind: [] for kind in KINDS}
+    left: list[Stream] = []
+    colored = any(s.sniffed.pixels == "color" and not s.is_depth and not s.is_other for s in streams)
+    for stream in streams:
+        its_kind = kind_of(stream, colored)
+        (left if its_kind is None else by_kind[its_kind]).append(stream)
+    if not by_kind["color"]:
+        seen = "; ".join([f"{s.template} ({len(s.files)}, {_looks(s)})" for s in streams[:6]] + [*remarks[:3]])
+        raise ConfigError(
+            f"{root}: no colour images found; seen: {seen or 'no images'}. Name them: --color PATTERN, with {CAMERA} and {FRAME} in it"
+        )
+    for kind in ("depth", "ir"):
+        by_kind[kind], others = _preferred(by_kind[kind])
+        left += others
+    named = name_cameras(root, {kind: [s.template for s in own] for kind, own in by_kind.items()})
+    found = {kind: dict(zip(named[kind][0], by_kind[kind], strict=True)) for kind in KINDS}
+    texts = [named[kind][1] for kind in KINDS]
+    unused = [f"{len(s.files)} files {s.template} are not used ({_looks(s)})" for s in left]
+    return Guess(found, FilePatterns(texts[0] or "", texts[1], texts[2]), (*remarks, *unused))
+
+
+def kind_of(stream: Stream, colored: bool) -> Kind | None:
+    pixels = stream.sniffed.pixels
+    if stream.is_other:
+        return None
+    infrared = bool(stream.words & set(_IR_WORDS))
+    if pixels in ("grey 16", "float"):
+        return "ir" if infrared else "depth"
+    if stream.is_depth:
+        return None  # a picture of depth
+    if infrared:
+        return "ir"
+    return "color" if pixels == "color" or not colored else None
+
+
+def _preferred(streams: list[Stream]) -> tuple[list[Stream], list[Stream]]:
+    """Of depth in two versions, the registered one; and those that are left."""
+    named = [s for s in streams if any(w.startswith(_REGISTERED_WORDS) for w in s.words)]
+    if named and len(named) < len(streams) and len(streams) % len(named) == 0:
+        return named, [s for s in streams if s not in named]
+    return streams, []
+
+
+def _looks(stream: Stream) -> str:
+    return f"{stream.sniffed.width}x{stream.sniffed.height} px, {stream.sniffed.pixels}"
+
+
+def _given(root: Path, given: Mapping[Kind, str], look: Callable[[Path], Sniffed | None]) -> Guess:
+    """Streams by patterns that the user gives; the cameras are what stands for {camera}."""
+    from rgbd_calib.io.layout import camera_names
+
+    patterns = FilePatterns(given["color"], given.get("depth"), given.get("ir"))
+    cameras = camera_names(given["color"], walk(root)) if CAMERA in given["color"] else ["C1"]
+    try:
+        patterns.check(cameras)
+        for name in cameras:
+            check_name(name)
+    except ValueError as error:
+        raise ConfigError(f"--color {given['color']}: {error}") from None
+    if not cameras:
+        raise ConfigError(f"{root}: no file is named as --color {given['color']}. Correct the pattern")
+    found = patterns.find(root, cameras)
+    streams: dict[Kind, dict[str, Stream]] = {kind: {} for kind in KINDS}
+    for kind, of_kind in found.items():
+        for camera, files in of_kind.items():
+            if files:
+                relative = {frame: path.relative_to(root).as_posix() for frame, path in files.items()}
+                looks = look(next(iter(files.values())))
+                if looks is None:
+                    raise ConfigError(f"{next(iter(files.values()))}: no image that can be read. Correct --{kind}")
+                text = patterns.by_kind()[kind] or ""
+                streams[kind][camera] = Stream(text.replace(CAMERA, camera), relative, looks)
+    return Guess(streams, patterns)
+
+
+def with_kinds(guess: Guess, kinds: Sequence[Kind]) -> Guess:
+    """The same without the streams of other kinds."""
+    own = guess.patterns.by_kind()
+    patterns = FilePatterns(own["color"] or "", *(own[kind] if kind in kinds else None for kind in ("depth", "ir")))
+    return replace(guess, streams={k: s if k in kinds else {} for k, s in guess.streams.items()}, patterns=patterns)

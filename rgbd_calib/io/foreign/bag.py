@@ -1,0 +1,108 @@
+"""ROS 1 bags, ROS 2 bags and MCAP files as streams of messages, through `rosbags`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rgbd_calib.errors import ConfigError, RgbdCalibError
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.io.bag_limits import limit_expansion
+from rgbd_calib.io.calibrations.common import rigid_of_quaternion
+
+SUFFIXES = (".bag", ".mcap", ".db3")
+IMAGE, COMPRESSED, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
+
+
+def is_bag(path: Path) -> bool:
+    """True for a bag file, an MCAP file, or the folder of a ROS 2 bag."""
+    return path.suffix.lower() in SUFFIXES or (path / "metadata.yaml").is_file()
+
+
+class Bag:
+    """A bag that is open."""
+
+    def __init__(self, path: Path, reader: Any) -> None:
+        self.name = str(path)
+        self._reader = reader
+        self.types: dict[str, str] = {c.topic: c.msgtype for c in reader.connections}
+        """Message type by topic."""
+
+    def messages(self, topics: Callable[[str], bool]) -> Iterator[tuple[str, int, Callable[[], Any]]]:
+        """(topic, time of recording in ns, how to read the message) of the topics, in the order of recording."""
+        wanted = [c for c in self._reader.connections if topics(c.topic)]
+        raw = self._reader.messages(connections=wanted) if wanted else iter(())
+        while True:
+            with faults(self.name):
+                connection, time_ns, data = next(raw, (None, 0, b""))
+                if connection is None:
+                    return
+            yield connection.topic, int(time_ns), lambda c=connection, d=data: self._read(c, d)  # type: ignore[misc]
+
+    def first(self, topic: str) -> Any | None:
+        """The first message of a topic; None where there is none."""
+        for _, _, read in self.messages(lambda name: name == topic):
+            return read()
+        return None
+
+    def all(self, topic: str) -> Iterator[Any]:
+        """All messages of a topic."""
+        for _, _, read in self.messages(lambda name: name == topic):
+            yield read()
+
+    def _read(self, connection: Any, data: Any) -> Any:
+        with faults(f"{self.name}: {connection.topic}"):
+            return self._reader.deserialize(data, connection.msgtype)
+
+
+@contextmanager
+def open_bag(path: Path) -> Iterator[Bag]:
+    """Open a bag.
+
+    Raises
+    ------
+    ConfigError
+        It is damaged, or none.
+    """
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    limit_expansion()
+    with faults(str(path)):
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+        if not all(isinstance(text, str) for c in reader.connections for text in (c.topic, c.msgtype)):
+            reader.close()
+            raise ValueError("a topic whose name is no text")  # SQLite keeps bytes and nothing in columns of text
+    try:
+        yield Bag(path, reader)
+    finally:
+        reader.close()
+
+
+@contextmanager
+def faults(where: str) -> Iterator[None]:
+    """What `rosbags` raises on damaged files (struct.error, KeyError, AssertionError, ...) becomes an error for people."""
+    try:
+        yield
+    except RgbdCalibError:
+        raise
+    except Exception as error:
+        why = " ".join(str(error).split())[:200] or type(error).__name__
+        raise ConfigError(f"{where}: cannot be read as a ROS bag ({why}). Is it complete? Copy it again") from error
+
+
+def stamp_us(message: Any) -> int:
+    """Time of a message's header, us."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * 1_000_000 + int(stamp.nanosec) // 1000
+
+
+def motion(where: Path, key: str, transform: Any) -> FloatArray:
+    """A geometry_msgs Transform as (4, 4)."""
+    q, t = transform.rotation, transform.translation
+    return rigid_of_quaternion(where, key, (q.w, q.x, q.y, q.z), np.array([t.x, t.y, t.z]))

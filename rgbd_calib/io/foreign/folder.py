@@ -1,0 +1,114 @@
+"""Folders of image files: Redwood, ScanNet-like, 3DMatch-like and 7-Scenes folders, those of Open3D's recorders, and any
+whose names tell cameras and frames; PNG, JPEG, TIFF, NPY, and, as an import only, NPZ of one image and OpenEXR.
+
+Lenses are those of calibration files in the folder. Nothing says the unit of 16-bit depth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from rgbd_calib.errors import ConfigError
+from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.io.calibrations import FoundCamera, read_calibration
+from rgbd_calib.io.folder_guess import Guess, guess_layout
+from rgbd_calib.io.foreign.pictures import SUFFIXES, read_picture, sniff_picture
+from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stamps, Stems, Wanted
+from rgbd_calib.io.images import DEPTH_SUFFIXES as DEPTH_IMAGES
+from rgbd_calib.io.images import SUFFIXES as IMAGES
+from rgbd_calib.io.layout import others, walk
+
+_CALIBRATIONS = (".yaml", ".yml", ".json", ".xml", ".toml", ".cameramodel", ".txt")
+_MAX_CALIBRATION_FILES = 50
+
+
+class PictureFolder(Source):
+    """The cameras of a folder; equal numbers or names of files are one instant.
+
+    Parameters
+    ----------
+    camera
+        The name of an only camera.
+    patterns
+        Where the files of a kind are, where their names do not tell.
+    """
+
+    def __init__(self, path: Path, camera: str, patterns: Mapping[Kind, str] | None = None) -> None:
+        self.name = str(path)
+        self._path = path
+        self._guess: Guess = guess_layout(path, patterns, SUFFIXES, sniff_picture)
+        own = self._guess.cameras
+        self._names = {own[0]: camera} if len(own) == 1 else {name: name for name in own}
+        remarks = list(self._guess.remarks)
+        self.cameras = {self._names[name]: self._camera(name, remarks) for name in own}
+        taken = {
+            file for of_kind in self._guess.streams.values() for own in of_kind.values() for file in own.files.values()
+        }
+        if not patterns:  # the guess names the images that it leaves
+            taken |= {file for file in walk(path) if Path(file).suffix.lower() in (*IMAGES, *DEPTH_IMAGES, *SUFFIXES)}
+        left = others(path, taken)
+        self.remarks = (*(f"{path}: {remark}" for remark in remarks), *([left] if left else []))
+
+    def stamps(self) -> Mapping[str, Stamps]:
+        return {}
+
+    def stems(self) -> Mapping[str, Stems]:
+        streams = self._guess.streams
+        return {
+            name: {kind: list(of_kind[own].files) for kind, of_kind in streams.items() if own in of_kind}
+            for own, name in self._names.items()
+        }
+
+    def pictures(self, wanted: Wanted) -> Iterator[Picture]:
+        for kind, of_kind in self._guess.streams.items():
+            for own, stream in of_kind.items():
+                for index, file in enumerate(stream.files.values()):
+                    if wanted(self._names[own], kind, index):
+                        yield Picture(self._names[own], kind, index, read_picture(self._path / file, kind))
+
+    def _camera(self, name: str, remarks: list[str]) -> SourceCamera:
+        color = self._guess.streams["color"][name].sniffed
+        stream = self._guess.streams["depth"].get(name)
+        size = (color.width, color.height)
+        found = self._calibrated(name, size, ("color", "rgb"), remarks)
+        if stream is None:
+            return SourceCamera(found.intrinsics)
+        registered = True if any(word in stream.words for word in ("aligned", "registered")) else None
+        depth_size = (stream.sniffed.width, stream.sniffed.height)
+        depth: Intrinsics | None = None
+        T = None
+        if found.depth is not None and (found.depth.intrinsics.width, found.depth.intrinsics.height) == depth_size:
+            depth, T = found.depth.intrinsics, found.depth.T_color_depth
+        elif depth_size != size:
+            depth = self._calibrated(name, depth_size, ("depth",), remarks).intrinsics
+        if stream.sniffed.pixels == "float":
+            remarks.append(f"{name}: floating-point depth: its unit is told by its values")
+        return SourceCamera(found.intrinsics, None, None, registered, depth, T)
+
+    def _calibrated(self, name: str, size: tuple[int, int], words: tuple[str, ...], remarks: list[str]) -> FoundCamera:
+        """What a calibration file says of a camera: by the camera's name, by the word, or the only one."""
+        tried = 0
+        for relative in walk(self._path):
+            path = self._path / relative
+            if path.suffix.lower() not in _CALIBRATIONS:
+                continue
+            tried += 1
+            if tried > _MAX_CALIBRATION_FILES:
+                break
+            try:
+                cameras = read_calibration(path, size).cameras
+            except ConfigError:
+                continue
+            for own, camera in cameras.items():
+                lens = camera.intrinsics
+                named = own.casefold() == name.casefold() or any(word in path.stem.lower() for word in words)
+                other = any(word in path.stem.lower() for word in ("color", "rgb", "depth") if word not in words)
+                if (
+                    lens is not None
+                    and (lens.width, lens.height) == size
+                    and (named or (len(cameras) == 1 and not other))
+                ):
+                    remarks.append(f"{name}: lens of {relative}")
+                    return camera
+        return FoundCamera()

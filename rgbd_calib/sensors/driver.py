@@ -1,0 +1,184 @@
+"""What the program needs of cameras of any make: a driver finds and opens devices, a device delivers frames.
+
+A driver is one module. `capture` and `devices` use these interfaces only, so that a rig may have cameras of several makes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from rgbd_calib.errors import ConfigError
+from rgbd_calib.io.dataset import CameraInfo
+from rgbd_calib.sensors.frames import SensorFrame
+
+DRIVERS = ("openni2", "realsense", "replay:RECORDING")
+
+
+@dataclass(frozen=True)
+class DeviceSettings:
+    """What a device says of itself and of its streams, read back after it was set up."""
+
+    uri: str
+    name: str
+    vendor: str
+    serial: str | None
+    firmware: str | None
+    usb_path: str | None
+    usb_controller: str | None
+    color_mode: str
+    depth_mode: str
+    registered: bool
+    mirrored: bool
+    horizontal_fov_rad: float
+    vertical_fov_rad: float
+
+
+class Device(Protocol):
+    """An open device with one colour and one depth stream."""
+
+    uri: str
+    """By which its driver opens it again."""
+    name: str
+    vendor: str
+    serial: str | None
+    firmware: str | None
+
+    @property
+    def usb_path(self) -> str:
+        """The port it hangs on; its uri where the port is not known."""
+
+    @property
+    def label(self) -> str:
+        """How messages name it."""
+
+    def modes(self) -> list[str]:
+        """Video modes of both streams, such as `color 640x480@30 RGB888`."""
+
+    def configure(self, allow_unregistered: bool = False) -> DeviceSettings:
+        """Choose modes and set them; CalibrationError where the device refuses what a calibration needs."""
+
+    def set_sync(self, leads: bool) -> bool:
+        """Before the start: give or follow the pulse of a cable that joins the cameras; False where there is no such mode."""
+
+    def describe(self) -> CameraInfo:
+        """Of a configured device: sizes, unit of depth, and the geometry as far as the device states it."""
+
+    def start(self) -> None:
+        """Start both streams; CalibrationError where the device refuses."""
+
+    def wait_frame(self, timeout_s: float) -> SensorFrame | None:
+        """The next frame of either stream, copied; None where none comes in time. Called from one thread only."""
+
+    def lock_exposure(self) -> bool:
+        """Freeze exposure and white balance as they are now; False where the camera does not take it."""
+
+    def camera_settings(self) -> dict[str, Any]:
+        """Exposure and white balance as the camera reports them."""
+
+    def set_emitter(self, on: bool) -> None:
+        """Switch the infrared projector; CalibrationError where there is no such switch."""
+
+    def close(self) -> None:
+        """Stop and close. No thread may be reading; calling it twice does nothing."""
+
+
+class Driver(Protocol):
+    """The devices of one make, as long as the program runs."""
+
+    @property
+    def label(self) -> str:
+        """The driver's name and version."""
+
+    def uris(self) -> list[str]:
+        """Devices that are attached now."""
+
+    def owns(self, uri: str) -> bool:
+        """True for the uris of this driver's devices."""
+
+    def open(self, uri: str) -> Device:
+        """Open a device; CalibrationError where it does not open."""
+
+    def abandon(self) -> None:
+        """Leave every handle as it is, for ever: a thread hangs in the runtime and closing would crash."""
+
+    def close(self) -> None:
+        """Close all devices; calling it twice does nothing."""
+
+
+class Drivers:
+    """Several drivers as one."""
+
+    def __init__(self, drivers: Sequence[Driver], missing: Sequence[str] = ()) -> None:
+        self._drivers = tuple(drivers)
+        self.missing = tuple(missing)
+        """Why others could not be loaded."""
+
+    @property
+    def label(self) -> str:
+        return ", ".join(driver.label for driver in self._drivers) or "no driver"
+
+    def uris(self) -> list[str]:
+        return [uri for driver in self._drivers for uri in driver.uris()]
+
+    def owns(self, uri: str) -> bool:
+        return any(driver.owns(uri) for driver in self._drivers)
+
+    def open(self, uri: str) -> Device:
+        return next(driver for driver in self._drivers if driver.owns(uri)).open(uri)
+
+    def abandon(self) -> None:
+        for driver in self._drivers:
+            driver.abandon()
+
+    def close(self) -> None:
+        for driver in self._drivers:
+            driver.close()
+
+
+def load_drivers(names: Sequence[str], redist: Path | None) -> Drivers:
+    """The drivers asked for (see `DRIVERS`), or all whose software is installed.
+
+    Raises
+    ------
+    ConfigError
+        An unknown name, or a driver that was asked for and cannot be loaded.
+    """
+    loaders = {"openni2": lambda: _openni2(redist), "realsense": _realsense}
+    if names:
+        return Drivers([_load(name, loaders) for name in dict.fromkeys(names)])
+    drivers: list[Driver] = []
+    missing = []
+    for name, load in loaders.items():
+        try:
+            drivers.append(load())
+        except ConfigError as error:
+            if name == "openni2" and redist is not None:
+                raise
+            missing.append(str(error))
+    return Drivers(drivers, missing)
+
+
+def _load(name: str, loaders: dict[str, Callable[[], Driver]]) -> Driver:
+    kind, _, rest = name.partition(":")
+    if kind == "replay" and rest:
+        from rgbd_calib.sensors.replay import Replay
+
+        return Replay(Path(rest))
+    if name not in loaders:
+        raise ConfigError(f"--driver {name}: one of {', '.join(DRIVERS)} needed")
+    return loaders[name]()
+
+
+def _openni2(redist: Path | None) -> Driver:
+    from rgbd_calib.sensors.openni2 import load_runtime
+
+    return load_runtime(redist)
+
+
+def _realsense() -> Driver:
+    from rgbd_calib.sensors.realsense import load_realsense
+
+    return load_realsense()

@@ -1,0 +1,151 @@
+"""A recording played as cameras, over and over, at 30 frames a second: for trying the program, and for tests."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rgbd_calib.errors import CalibrationError
+from rgbd_calib.io.dataset import CameraInfo
+from rgbd_calib.io.depth_files import read_depth_raw
+from rgbd_calib.io.recording import Recording, open_recording
+from rgbd_calib.sensors.driver import Device, DeviceSettings
+from rgbd_calib.sensors.frames import PERIOD_S, SensorFrame
+
+_PREFIX = "replay:"
+FPS = round(1 / PERIOD_S)
+
+
+class Replay:
+    """The cameras of a recording; each plays the frames that it has in colour and depth."""
+
+    def __init__(self, path: Path) -> None:
+        self._recording = open_recording(path)
+        self._start_s = time.monotonic()
+        self._devices: list[ReplayedCamera] = []
+
+    @property
+    def label(self) -> str:
+        return f"replay of {self._recording.path}"
+
+    def uris(self) -> list[str]:
+        return [f"{_PREFIX}{camera}" for camera in self._recording.cameras]
+
+    def owns(self, uri: str) -> bool:
+        return uri.startswith(_PREFIX)
+
+    def open(self, uri: str) -> Device:
+        device = ReplayedCamera(self._recording, uri.removeprefix(_PREFIX), self._start_s)
+        self._devices.append(device)
+        return device
+
+    def abandon(self) -> None:
+        pass
+
+    def close(self) -> None:
+        for device in self._devices:
+            device.close()
+        self._devices.clear()
+
+
+class ReplayedCamera:
+    """One camera of a recording. All cameras show the same frame at the same time."""
+
+    vendor = "rgbd-calib"
+    firmware: str | None = None
+
+    def __init__(self, recording: Recording, camera: str, start_s: float) -> None:
+        info = recording.cameras[camera]
+        self._recording, self._camera, self._info, self._start_s = recording, camera, info, start_s
+        self._frames = [f for f in recording.frames if all(recording.has_depth(c, f) for c in recording.cameras)]
+        if not self._frames:
+            raise CalibrationError(
+                f"{recording.path}: {camera}: a frame in which all cameras have colour and depth needed, none found. Play "
+                "another recording"
+            )
+        self.uri, self.name = f"{_PREFIX}{camera}", f"replay of {camera}"
+        self.serial: str | None = info.serial or camera
+        self._next = 0  # frame k is 2k (colour) and 2k + 1 (depth)
+        self._open = True
+
+    @property
+    def usb_path(self) -> str:
+        return self.uri
+
+    @property
+    def label(self) -> str:
+        return f"{self.uri} (serial {self.serial})"
+
+    def modes(self) -> list[str]:
+        width, height = self._info.depth_size
+        return [f"color {self._info.width}x{self._info.height}@{FPS} RGB888", f"depth {width}x{height}@{FPS} Z16"]
+
+    def configure(self, allow_unregistered: bool = False) -> DeviceSettings:
+        color, depth = (mode.split(" ", 1)[1] for mode in self.modes())
+        fov = [0.0, 0.0]
+        if self._info.intrinsics is not None:
+            fx, fy = self._info.intrinsics.vector[:2]
+            fov = [2 * math.atan(self._info.width / 2 / fx), 2 * math.atan(self._info.height / 2 / fy)]
+        return DeviceSettings(
+            self.uri,
+            self.name,
+            self.vendor,
+            self.serial,
+            None,
+            None,
+            None,
+            color,
+            depth,
+            self._info.depth is None,
+            False,
+            *fov,
+        )
+
+    def set_sync(self, leads: bool) -> bool:
+        return False
+
+    def describe(self) -> CameraInfo:
+        return self._info
+
+    def start(self) -> None:
+        self._next = 2 * (int((time.monotonic() - self._start_s) / PERIOD_S) + 1)
+
+    def wait_frame(self, timeout_s: float) -> SensorFrame | None:
+        index, is_depth = divmod(self._next, 2)
+        wait_s = self._start_s + index * PERIOD_S - time.monotonic()
+        if wait_s > timeout_s or not self._open:
+            time.sleep(timeout_s)
+            return None
+        time.sleep(max(wait_s, 0.0))
+        late = int(-wait_s / PERIOD_S)
+        if late > 1 and not is_depth:  # the computer is too slow: frames are lost, as a camera loses them
+            self._next += 2 * late
+            index += late
+        self._next += 1
+        frame = self._frames[index % len(self._frames)]
+        if is_depth:
+            path = self._recording.depth_files[self._camera][frame]
+            pixels = read_depth_raw(path, self._info.depth_size, "dataset.yaml has")
+        else:
+            pixels = np.ascontiguousarray(self._recording.color(self._camera, frame)[..., ::-1])
+        return SensorFrame(
+            "depth" if is_depth else "color", pixels, round(index * PERIOD_S * 1e6), index, time.monotonic()
+        )
+
+    def lock_exposure(self) -> bool:
+        return True
+
+    def camera_settings(self) -> dict[str, Any]:
+        return {}
+
+    def set_emitter(self, on: bool) -> None:
+        raise CalibrationError(
+            f"{self.label}: its infrared projector cannot be switched. Leave out --alternate-emitters"
+        )
+
+    def close(self) -> None:
+        self._open = False

@@ -1,0 +1,376 @@
+"""`init`: folders as people's scripts write them are understood by names, types and what the images show."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from small_recording import BOARD, FOCAL_PX, HEIGHT, WIDTH, draw_recording
+
+from rgbd_calib.cli import init as command
+from rgbd_calib.errors import ConfigError
+from rgbd_calib.io import folder_guess
+from rgbd_calib.io import layout as layout_of_files
+from rgbd_calib.io.files import dump_yaml, load_yaml
+from rgbd_calib.io.layout import FilePatterns
+from rgbd_calib.io.recording import open_recording
+from rgbd_calib.io.sniff import Sniffed, sniff
+from rgbd_calib.views.board_guess import BoardGuess, guess_board
+from rgbd_calib.views.depth_scale import likely_factor, name_factor, unit_of_depth
+
+N = range(12)
+BOARD_OPTIONS = ("--board", "9x6", "--square", "0.06")
+
+
+def names(form: str, cameras, frames=N, **kinds: str) -> dict[str, str]:
+    return {form.format(c=c, k=k, i=i): pixels for c in cameras for i in frames for k, pixels in kinds.items()}
+
+
+LAYOUTS = {
+    "flat and folders": (
+        names("rgb_C{c}_{i:04d}.jpg", (1, 2), k="color") | names("C{c}/depth_{i:04d}.tiff", (1, 2), k="float"),
+        ("rgb_{camera}_{frame}.jpg", "{camera}/depth_{frame}.tiff", None),
+        ("C1", "C2"),
+    ),
+    "more cameras than frames": (
+        names("{k}_C{c}_{i:04d}.png", range(8), range(5), rgb="color", depth="grey 16"),
+        ("rgb_{camera}_{frame}.png", "depth_{camera}_{frame}.png", None),
+        tuple(f"C{i}" for i in range(8)),
+    ),
+    "words for cameras": (
+        names("{c}/{k}/{i}.png", ("left", "right"), rgb="color", depth="grey 16"),
+        ("{camera}/rgb/{frame}.png", "{camera}/depth/{frame}.png", None),
+        ("left", "right"),
+    ),
+    "kind first": (
+        names("{k}/cam_{c}/{i}.png", ("left", "right"), rgb="color", depth="grey 16"),
+        ("rgb/cam_{camera}/{frame}.png", "depth/cam_{camera}/{frame}.png", None),
+        ("left", "right"),
+    ),
+    "a folder a frame": (
+        names("frame_{i:04d}/cam{c}_{k}.png", (0, 1, 2), color="color", depth="grey 16"),
+        ("frame_{frame}/{camera}_color.png", "frame_{frame}/{camera}_depth.png", None),
+        ("cam0", "cam1", "cam2"),
+    ),
+    "camera twice": (
+        names("C{c}/C{c}_{k}_{i:03d}.png", (1, 2), rgb="color", d="grey 16"),
+        ("{camera}/{camera}_rgb_{frame}.png", "{camera}/{camera}_d_{frame}.png", None),
+        ("C1", "C2"),
+    ),
+    "one camera, three kinds": (
+        names("{i:04d}_{k}.png", (1,), color="color", depth="grey 16", ir="grey 16"),
+        ("{frame}_color.png", "{frame}_depth.png", "{frame}_ir.png"),
+        ("C1",),
+    ),
+    "two numbers, one of them of a frame": (
+        names("rgb/{i:06d}-{i}00033.jpg", (1,), k="color") | names("depth/{i:06d}-{i}00777.png", (1,), k="grey 16"),
+        ("rgb/{frame}-*.jpg", "depth/{frame}-*.png", None),
+        ("C1",),
+    ),
+    "serial numbers": (
+        names("{c}/{k}/{i:05d}.png", (840412060551, 840412060917), color="color", depth="grey 16"),
+        ("{camera}/color/{frame}.png", "{camera}/depth/{frame}.png", None),
+        ("840412060551", "840412060917"),
+    ),
+    "registered depth beside raw depth": (
+        names("{k}/{i}.png", (1,), color="color", depth="grey 16", depth_aligned="grey 16", depth_vis="color"),
+        ("color/{frame}.png", "depth_aligned/{frame}.png", None),
+        ("C1",),
+    ),
+    "types that differ by camera": (
+        {f"C{c}/color/{i:06d}.{s}": "color" for c, s in ((1, "png"), (2, "jpg")) for i in N},
+        ("{camera}/color/{frame}.*", None, None),
+        ("C1", "C2"),
+    ),
+    "depth of one camera of two": (
+        names("rgb_{c}_{i}.png", ("left", "right"), k="color") | names("depth_left_{i}.png", (1,), k="grey 16"),
+        ("rgb_{camera}_{frame}.png", "depth_{camera}_{frame}.png", None),
+        ("left", "right"),
+    ),
+    "grey cameras": (
+        names("cam{c}/img{i}.bmp", (1, 2, 3), k="grey 8"),
+        ("{camera}/img{frame}.bmp", None, None),
+        ("cam1", "cam2", "cam3"),
+    ),
+    "no separators": (
+        names("{k}C{c}_{i}.png", (1, 2), color="color", depth="grey 16"),
+        ("colorC{camera}_{frame}.png", "depthC{camera}_{frame}.png", None),
+        ("1", "2"),
+    ),
+    "no numbers": (
+        {f"{k}/{i}.png": p for k, p in (("rgb", "color"), ("depth", "grey 16")) for i in ("near", "far", "left")},
+        ("rgb/{frame}.png", "depth/{frame}.png", None),
+        ("C1",),
+    ),
+}
+
+
+@pytest.fixture
+def pretend(monkeypatch):
+    """A folder of files that exist by name and header only."""
+
+    def set_files(files: dict[str, str]) -> Path:
+        root = Path("/recording")
+        monkeypatch.setattr(folder_guess, "walk", lambda folder: iter(sorted(files)))
+        monkeypatch.setattr(
+            folder_guess, "sniff", lambda path: Sniffed(files[path.relative_to(root).as_posix()], 64, 48)
+        )
+        return root
+
+    return set_files
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_names_tell_cameras_frames_and_kinds(pretend, layout):
+    files, patterns, cameras = LAYOUTS[layout]
+    guess = folder_guess.guess_layout(pretend(files))
+    assert guess.patterns == FilePatterns(*patterns) and guess.cameras == cameras
+    # what the patterns take is what was guessed
+    for kind, of_kind in guess.streams.items():
+        for camera, stream in of_kind.items():
+            pattern = guess.patterns.by_kind()[kind]
+            takes = layout_of_files._compile(pattern, (camera,))
+            named = [f for f in files if takes.fullmatch(f)]
+            assert sorted(named) == sorted(stream.files.values())
+
+
+@pytest.mark.parametrize(
+    ("files", "needle"),
+    [
+        (names("cam{c}/{k}.png", (1, 2), rgb="color", depth="grey 16"), "no colour images found; seen: 2 files cam1"),
+        (
+            names("depth/{i}.png", (1,), k="grey 16"),
+            r"no colour images found; seen: depth/\{frame\}.png \(12, 64x48 px",
+        ),
+        ({}, "no colour images found; seen: no images"),
+        (
+            names("rgb{c}_{i}.png", (1, 2), k="color") | names("depth{c}_{i}.png", (3, 4), k="grey 16"),
+            r"depth images depth3_\{frame\}.png, .* the cameras are .*--depth PATTERN",
+        ),
+    ],
+)
+def test_names_that_do_not_tell_are_refused(pretend, files, needle):
+    with pytest.raises(ConfigError, match=needle):
+        folder_guess.guess_layout(pretend(files))
+
+
+def test_files_are_sniffed_by_their_header(tmp_path):
+    rng = np.random.default_rng(0)
+    color, raw = rng.integers(0, 255, (6, 8, 3), np.uint8), rng.integers(0, 999, (6, 8)).astype(np.uint16)
+    cases = {
+        "a.png": (color, "color"),
+        "b.jpg": (color, "color"),
+        "c.png": (color[..., 0], "grey 8"),
+        "d.png": (raw, "grey 16"),
+        "e.tiff": (raw, "grey 16"),
+        "f.tiff": (raw.astype(np.float32), "float"),
+        "g.pgm": (raw, "grey 16"),
+    }
+    for name, (image, pixels) in cases.items():
+        cv2.imwrite(str(tmp_path / name), image)
+        assert sniff(tmp_path / name) == Sniffed(pixels, 8, 6)
+    np.save(tmp_path / "h.npy", raw.astype(np.float64))
+    assert sniff(tmp_path / "h.npy") == Sniffed("float", 8, 6)
+    (tmp_path / "i.png").write_bytes(b"none")
+    assert sniff(tmp_path / "i.png") is None and sniff(tmp_path / "absent.png") is None
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory) -> Path:
+    return draw_recording(tmp_path_factory.mktemp("drawn") / "r", 2, 10)
+
+
+def lay_out(drawn: Path, folder: Path, color: str, depth: str | None, write_depth=None) -> Path:
+    """The drawn recording under other names, without dataset.yaml; `write_depth(path, raw)` writes another type."""
+    recording = open_recording(drawn)
+    for camera in recording.cameras:
+        for frame, path in recording.color_files[camera].items():
+            target = folder / color.format(camera=camera, frame=frame)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(path, target)
+            if depth is None:
+                continue
+            target = folder / depth.format(camera=camera, frame=frame)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            raw = cv2.imread(str(recording.depth_files[camera][frame]), cv2.IMREAD_UNCHANGED)
+            (write_depth or (lambda p, r: cv2.imwrite(str(p), r)))(target, raw)
+    return folder
+
+
+def in_metres(path: Path, raw: np.ndarray) -> None:
+    cv2.imwrite(str(path), (raw / 1000).astype(np.float32))
+
+
+def test_a_folder_becomes_a_recording_where_it_is(run, drawn, tmp_path):
+    folder = lay_out(drawn, tmp_path / "f", "rgb_{camera}_{frame}.png", "{camera}/depth_{frame}.tiff", in_metres)
+    before = sorted(folder.rglob("*"))
+    out = run("init", folder, *BOARD_OPTIONS, "--yes")
+    assert out.status == 0, out.stderr
+    assert "C1: 10 colour images 640x480 (rgb_C1_{frame}.png); 10 depth images 640x480, floating point" in out.stderr
+    assert "10 frames are in two cameras or more" in out.stderr
+    assert "C1: floating-point depth in metres" in out.stderr
+    assert sorted(folder.rglob("*")) == sorted([*before, folder / "dataset.yaml"])
+    recording, original = open_recording(folder), open_recording(drawn)
+    assert recording.board == BOARD and recording.unused == ()
+    np.testing.assert_allclose(recording.depth_m("C2", "000003"), original.depth_m("C2", "000003"), rtol=1e-6)
+    again = run("init", folder, *BOARD_OPTIONS, "--yes")
+    assert again.status == 2 and "exists already" in again.stderr
+    assert run("init", folder, *BOARD_OPTIONS, "--yes", "--overwrite").status == 0
+
+
+@pytest.mark.parametrize("unit_m", [0.001, 0.0002, 0.00025, 0.0001])
+def test_the_unit_of_depth_is_concluded_from_the_board(run, drawn, tmp_path, unit_m):
+    def write(path, raw):
+        scaled = raw * (0.001 / unit_m)
+        cv2.imwrite(str(path), np.where(scaled < 65535, scaled, 0).astype(np.uint16))
+
+    folder = lay_out(drawn, tmp_path / "f", "{camera}/color/{frame}.png", "{camera}/depth/{frame}.png", write)
+    out = run("init", folder, *BOARD_OPTIONS, "--yes")
+    assert out.status == 0, out.stderr
+    assert f"C1: {unit_m:g} m for each unit of depth, by the board's size in" in out.stderr
+    data = load_yaml(folder / "dataset.yaml")
+    assert data["cameras"]["C2"]["depth_scale"] == unit_m and "files" not in data
+
+
+def test_a_unit_that_nothing_tells_is_asked_for(run, drawn, tmp_path, monkeypatch):
+    folder = lay_out(drawn, tmp_path / "f", "{camera}/color/{frame}.png", "{camera}/depth/{frame}.png")
+    out = run("init", folder, "--yes")
+    assert out.status == 2 and "there is no board to tell it by" in out.stderr and "--depth-scale (0.001" in out.stderr
+    assert "Board: 9x6 inner corners in" in out.stderr and not (folder / "dataset.yaml").exists()
+    wrong = run("init", folder, "--board", "9x6", "--square", "0.045", "--yes")
+    assert wrong.status == 2 and "(0.001 m would need squares of 60" in wrong.stderr and "45 mm stated" in wrong.stderr
+    assert run("init", folder, "--yes", "--depth-scale", "0.001").status == 0
+    assert open_recording(folder).board is None
+
+
+def test_on_a_terminal_it_asks_what_images_do_not_tell(run, drawn, tmp_path, monkeypatch):
+    folder = lay_out(drawn, tmp_path / "f", "{camera}/color/{frame}.png", "{camera}/depth/{frame}.png")
+    asked = []
+    answers = iter(["9x6", "0.06", "0.006", "y"])
+
+    def ask(question, default):
+        asked.append((question, default))
+        return next(answers)
+
+    monkeypatch.setattr(command, "_ask", ask)
+    monkeypatch.setattr(command.sys, "stdin", type("Terminal", (), {"isatty": lambda self: True})())
+    monkeypatch.setattr(command.sys.stderr, "isatty", lambda: True, raising=False)
+    assert run("init", folder).status == 0
+    assert [default for _, default in asked] == ["9x6", "", "", "y"]
+    board = open_recording(folder).board
+    assert board.two_sided and board.thickness_m == 0.006 and board.square_m == 0.06
+
+
+def test_a_dry_run_writes_nothing(run, drawn, tmp_path):
+    folder = lay_out(drawn, tmp_path / "f", "{camera}_{frame}.png", None)
+    out = run("init", folder, *BOARD_OPTIONS, "--yes", "--dry-run")
+    assert out.status == 0 and not (folder / "dataset.yaml").exists()
+    (folder / "dataset.yaml").write_text(out.stdout)
+    assert open_recording(folder).files == FilePatterns("{camera}_{frame}.png")
+
+
+def test_depth_of_half_the_size(run, drawn, tmp_path):
+    def halve(path, raw):
+        cv2.imwrite(str(path), raw[::2, ::2])
+
+    folder = lay_out(drawn, tmp_path / "f", "{camera}/color/{frame}.png", "{camera}/depth/{frame}.png", halve)
+    out = run("init", folder, *BOARD_OPTIONS, "--yes")
+    assert out.status == 0 and "taken as not registered (--registered if it is)" in out.stderr, out.stderr
+    own = open_recording(folder).cameras["C1"].depth
+    assert (own.width, own.height, own.T_color_depth) == (320, 240, None)
+    assert run("init", folder, *BOARD_OPTIONS, "--yes", "--overwrite", "--registered").status == 0
+    own = open_recording(folder).cameras["C1"].depth
+    np.testing.assert_array_equal(own.T_color_depth, np.eye(4))
+    from rgbd_calib.geometry.camera import Intrinsics
+
+    camera = own.camera(Intrinsics(WIDTH, HEIGHT, FOCAL_PX, FOCAL_PX, 319.5, 239.5))
+    assert (camera.intrinsics.fx, camera.intrinsics.cx, camera.intrinsics.cy) == (FOCAL_PX / 2, 159.5, 119.5)
+
+
+def test_lenses_of_a_calibration_file_in_the_folder(run, drawn, tmp_path):
+    folder = lay_out(drawn, tmp_path / "f", "{camera}/color/{frame}.png", None)
+    chain = {
+        f"cam{i}": {
+            "camera_model": "pinhole",
+            "intrinsics": [FOCAL_PX + i, FOCAL_PX, 319.5, 239.5],
+            "distortion_model": "radtan",
+            "distortion_coeffs": [0.0] * 4,
+            "resolution": [WIDTH, HEIGHT],
+            "rostopic": f"/c{i + 1}/image_raw",
+        }
+        for i in (0, 1)
+    }
+    (folder / "camchain.yaml").write_text(dump_yaml(chain))
+    out = run("init", folder, *BOARD_OPTIONS, "--yes")
+    assert out.status == 0 and "camchain.yaml: Kalibr camchain, of c1, c2" in out.stderr
+    assert open_recording(folder).cameras["C2"].intrinsics.fx == FOCAL_PX + 1
+
+
+def test_patterns_of_the_user(run, drawn, tmp_path):
+    folder = lay_out(drawn, tmp_path / "f", "x{camera}y{frame}.png", "d{frame}z{camera}.png")
+    patterns = ("--color", "x{camera}y{frame}.png", "--depth", "d{frame}z{camera}.png")
+    assert run("init", folder, *BOARD_OPTIONS, "--yes", *patterns).status == 0
+    recording = open_recording(folder)
+    assert list(recording.cameras) == ["C1", "C2"] and recording.has_depth("C1", "000000")
+    nothing = run("init", folder, "--overwrite", "--yes", "--color", "nothing_{camera}_{frame}.png")
+    assert nothing.status == 2 and "no file is named as --color nothing_" in nothing.stderr
+    assert run("init", folder, "--overwrite", "--yes", "--depth", "d{frame}z{camera}.png").status == 2
+
+
+def test_what_is_no_folder(run, tmp_path):
+    assert "no such folder" in run("init", tmp_path / "absent").stderr
+    (tmp_path / "empty").mkdir()
+    out = run("init", tmp_path / "empty")
+    assert out.status == 2 and "no colour images found" in out.stderr
+
+
+def test_the_board_is_the_one_that_images_agree_on(drawn):
+    recording = open_recording(drawn)
+    images = [recording.color("C1", frame) for frame in recording.frames[:6]]
+    found = guess_board(images)
+    assert isinstance(found, BoardGuess) and (found.cols, found.rows) == (9, 6) and found.looked_at == 6
+    assert guess_board([np.full((100, 100, 3), 128, np.uint8)] * 3) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [("realsense3", (10, 6)), ("kinect2_20", (7, 5)), ("kinect1_xw", (10, 7)), ("percipio4_vga", (9, 6))],
+)
+def test_boards_of_real_recordings(real_data, name, size):
+    recording = open_recording(real_data(name))
+    pairs = [(c, f) for c, files in recording.color_files.items() for f in files]
+    found = guess_board(
+        recording.color(*pairs[i]) for i in np.linspace(0, len(pairs) - 1, min(8, len(pairs))).astype(int)
+    )
+    assert found is not None and (found.cols, found.rows) == size
+
+
+@pytest.mark.parametrize(
+    ("ratio", "factor"),
+    [(1.0, None), (1.08, None), (1.25, 1.25), (0.8, 0.8), (4.9, 5), (0.21, 0.2), (10.4, 10), (980, 1000), (1.6, None)],
+)
+def test_factors_between_units_have_names(ratio, factor):
+    found = likely_factor(ratio)
+    assert found is None if factor is None else found == pytest.approx(factor)
+    assert bool(name_factor(ratio)) == (factor is not None)
+
+
+def test_a_unit_is_told_only_where_one_fits():
+    raw, distance_m = np.array([5000.0, 5100, 4900]), np.ones(3)
+    assert unit_of_depth(raw, distance_m) == 0.0002
+    assert unit_of_depth(raw, distance_m, within=1.5) is None  # 0.00025 fits as well
+    assert unit_of_depth(np.array([np.nan]), np.ones(1)) is None
+    assert unit_of_depth(np.array([1600.0]), np.ones(1)) is None
+
+
+def test_doctor_names_the_factor(run, drawn, tmp_path):
+    folder = Path(shutil.copytree(drawn, tmp_path / "f"))
+    data = load_yaml(folder / "dataset.yaml")
+    data["cameras"]["C1"]["depth_scale"] = 0.0002
+    (folder / "dataset.yaml").write_text(dump_yaml(data))
+    out = run("doctor", folder).stdout
+    assert "! C1: measured depth is 0.2" in out and "depth_scale looks 5 times too small" in out
+    assert "C2: measured depth is" not in out
