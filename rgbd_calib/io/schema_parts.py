@@ -187,8 +187,8 @@ def field_data(field: DepthField) -> dict[str, Any]:
     names = ("width", "height", "degree", "coefficients", "min_m", "max_m", "covariance")
     own = {name: getattr(field, name) for name in names if getattr(field, name) is not None}
     if field.pattern is not None:
-        own["pattern"] = {"power": field.pattern.power, "values": field.pattern.values}
-    return {"basis": "legendre", "powers": list(field.powers), **own}
+        own["pattern"] = {"powers": list(field.pattern.powers), "values": field.pattern.values}
+    return {"basis": "legendre", "growth": list(field.growth), **own}
 
 
 class DepthCameraModel(Model):

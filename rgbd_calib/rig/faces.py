@@ -83,9 +83,7 @@ def _moves(board: Board) -> tuple[tuple[bool, bool], ...]:
     return tuple((back, turned) for back in backs for turned in turns)
 
 
-def _read(
-    board: Board, obs: Observations, moves: Sequence[tuple[bool, bool]], of_frame: IntArray
-) -> Observations:
+def _read(board: Board, obs: Observations, moves: Sequence[tuple[bool, bool]], of_frame: IntArray) -> Observations:
     mine = of_frame[obs.frame]
     r, c = np.divmod(np.arange(board.n_corners), board.cols)
     numbers = []

@@ -73,7 +73,7 @@ def _rough(q: FloatArray, known: BoolArray) -> FloatArray:
     """Values (walls, rows, columns) less what the smooth field could follow, by least squares wall by wall."""
     rows, columns = q.shape[1:]
     y, x = (2 * (np.arange(n) + 0.5) / n - 1 for n in (rows, columns))
-    T = terms(*np.broadcast_arrays(x[None, :], y[:, None]), depth_field.DEGREE)
+    T = terms(np.tile(x, (rows, 1)), np.tile(y[:, None], (1, columns)), depth_field.DEGREE)
     out = np.zeros_like(q)
     for wall, seen, rough in zip(q, known, out, strict=True):
         rough[seen] = wall[seen] - T[seen] @ np.linalg.lstsq(T[seen], wall[seen], rcond=None)[0]

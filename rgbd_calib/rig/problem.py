@@ -134,7 +134,9 @@ class Problem:
         out: dict[tuple[str, int], list[tuple[IntArray, Component]]] = {}
         for index, component in self.components:
             block = next(b for b in self.blocks if self.parts[b.name].start <= index[0] < self.parts[b.name].stop)
-            out.setdefault((block.name, (index[0] - self.parts[block.name].start) // block.n), []).append((index, component))
+            out.setdefault((block.name, (index[0] - self.parts[block.name].start) // block.n), []).append(
+                (index, component)
+            )
         return list(out.values())
 
     @cached_property

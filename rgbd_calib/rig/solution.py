@@ -132,7 +132,9 @@ class Solution:
         own = self.state.values["depth field"][i]
         pattern = self.problem.local[i] if self.problem.local else None
         size, covariance = (lens.width, lens.height), self.covariance[np.ix_(at, at)]
-        return PolynomialField(*size, depth_field.DEGREE, (float(own[-2]), float(own[-1])), own[:-2], low, high, covariance, pattern)
+        return PolynomialField(
+            *size, depth_field.DEGREE, (float(own[-2]), float(own[-1])), own[:-2], low, high, covariance, pattern
+        )
 
     def depth_camera(self, camera: str) -> DepthCamera | None:
         """The camera that its depth image is of, where that is not quite the colour camera; None without depth."""

@@ -70,7 +70,9 @@ class Weights:
         one, ratios = np.ones((V, N)), (np.ones(N_PIXEL), np.ones(N_DEPTH))
         Q = np.zeros((V, 2 * N, N_PIXEL)), np.zeros((V, N, N_DEPTH))
         k_wall = np.full(n_cameras, params.k_wall_per_m)
-        return cls(sigma, k, 0.0, *ratios, one, one, *Q, k_wall, np.ones(walls.seen.shape), 1.0, np.ones(walls.n), dict(sizes))
+        return cls(
+            sigma, k, 0.0, *ratios, one, one, *Q, k_wall, np.ones(walls.seen.shape), 1.0, np.ones(walls.n), dict(sizes)
+        )
 
     @property
     def excess(self) -> FloatArray:
