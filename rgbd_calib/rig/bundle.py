@@ -79,16 +79,18 @@ def bundle(
     problem, state, frames = problem_of(views, board, priors, T_world_color, reference, params, walls)
     dropped, dropped_corners = dict[tuple[str, str], str](), 0
     history: list[Round] = []
-    iterations, settled, taken_back = 0, False, False
+    iterations, read, settled, taken_back = 0, False, False, False
     keys = [(placed.view.camera, placed.view.frame) for placed in views]
     for _ in range(params.max_rounds):
         problem, state, moved, done = _round(problem, state, len(dropped))
         iterations, history = iterations + done[0], [*history, done[1]]
-        readings = faces.best_readings(problem, state)
-        if readings.n_changed:
-            views = faces.read_views(views, problem.obs.frame, readings, board)
-            problem, state = faces.read(problem, state, readings.moves, readings.of_frame)
-            continue
+        if not read:
+            readings = faces.best_readings(problem, state)
+            read = not readings.n_changed
+            if not read:
+                views = faces.read_views(views, problem.obs.frame, readings, board)
+                problem, state = faces.read(problem, state, readings.moves, readings.of_frame)
+                continue
         if moved < SCALES_KNOWN:
             found = outliers.find(problem, state)
             reasons = dict(found.pixel_views) | {v: f"depth only: {why}" for v, why in found.depth_views.items()}

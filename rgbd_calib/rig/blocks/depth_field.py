@@ -9,6 +9,8 @@ too: with nothing to tell it stays at what is usual, and where there is nothing 
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from rgbd_calib.geometry.depth_error import FIELD_AT_M, n_terms, over_image, terms
@@ -74,5 +76,13 @@ class DepthField(DepthErrorBlock):
         return error, slope / depth_m[..., None]
 
     def _shapes(self, camera: int, pixels_px: FloatArray) -> FloatArray:
-        x, y = over_image(pixels_px, self.setup.sizes_px[camera])
-        return np.asarray(terms(x, y, DEGREE)[..., 1:])
+        key = camera, pixels_px.shape, pixels_px.tobytes()
+        if key not in self._seen:
+            x, y = over_image(pixels_px, self.setup.sizes_px[camera])
+            self._seen[key] = np.asarray(terms(x, y, DEGREE)[..., 1:])
+        return self._seen[key]
+
+    @cached_property
+    def _seen(self) -> dict[tuple[int, tuple[int, ...], bytes], FloatArray]:
+        """Shapes at pixels that were asked for: they do not move while the rest is solved."""
+        return {}
