@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
-from rgbd_calib.io.files import read_bytes, whole_file
+from rgbd_calib.io.files import whole_file
+from rgbd_calib.io.reading import read_bytes
 from rgbd_calib.io.schema_base import MAX_SIDE
 
 MAX_BYTES = 256 << 20
