@@ -417,3 +417,13 @@ def test_the_unit_of_depth_by_the_board(run, tmp_path):
     assert wrong.status == 1 and "none in use has" in wrong.stderr and "--depth-scale" in wrong.stderr
     again = run("import", folder, "-o", tmp_path / "wrong", "--depth-scale", "0.0002")
     assert again.status == 0 and "20 images were there from an earlier import" in again.stderr
+
+
+def test_an_image_that_is_left_out_is_named_once(tmp_path):
+    for i in range(N):
+        save(tmp_path / "cam0" / "color" / f"{i:06d}.png", COLOR[i])
+        save(tmp_path / "cam0" / "mask" / f"{i:06d}.png", COLOR[i])
+    remarks = open_source(tmp_path, "C1", OpenOptions()).remarks
+    assert [remark for remark in remarks if ".png" in remark] == [
+        f"{tmp_path}: {N} files cam0/mask/{{frame}}.png are not used ({WIDTH}x{HEIGHT} px, color)"
+    ]

@@ -33,21 +33,23 @@ def is_right(path) -> None:
     assert np.all(off_m < N_SD * sd_m) and np.all(sd_m < 0.003)
 
 
+def calibrates_right(run, recording, path) -> None:
+    ended = run("calibrate", recording, "-o", path)
+    assert ended.status == 0, ended.stderr
+    is_right(path)
+
+
 def test_stems_of_ones_own_with_tiff_depth(run, drawn, tmp_path):
     folder = other_layouts.stems_and_tiff(drawn, tmp_path / "monday")
     assert run("init", folder, *BOARD, "--yes").status == 0
-    ended = run("calibrate", folder, "-o", tmp_path / "rig.yaml")
-    assert ended.status == 0, ended.stderr
-    is_right(tmp_path / "rig.yaml")
+    calibrates_right(run, folder, tmp_path / "rig.yaml")
 
 
 def test_a_video_and_a_folder_of_depth_for_each_camera(run, drawn, tmp_path):
     folder = other_layouts.videos_and_depth(drawn, tmp_path / "session")
     imported = run("import", folder, "-o", tmp_path / "rec", *BOARD)
     assert imported.status == 0 and "by the board's size" in imported.stderr, imported.stderr
-    ended = run("calibrate", tmp_path / "rec", "-o", tmp_path / "rig.yaml")
-    assert ended.status == 0, ended.stderr
-    is_right(tmp_path / "rig.yaml")
+    calibrates_right(run, tmp_path / "rec", tmp_path / "rig.yaml")
 
 
 def test_ros2_bag_of_two_rational_lenses(run, drawn, tmp_path):
@@ -55,17 +57,13 @@ def test_ros2_bag_of_two_rational_lenses(run, drawn, tmp_path):
     assert run("import", path, "-o", tmp_path / "rec", *BOARD).status == 0
     lens = open_recording(tmp_path / "rec").cameras["C2"].intrinsics
     assert lens is not None and lens.distortion == tuple(other_layouts.RATIONAL)
-    ended = run("calibrate", tmp_path / "rec", "-o", tmp_path / "rig.yaml")
-    assert ended.status == 0, ended.stderr
-    is_right(tmp_path / "rig.yaml")
+    calibrates_right(run, tmp_path / "rec", tmp_path / "rig.yaml")
 
 
 def test_a_session_of_caliscope(run, drawn, tmp_path):
     folder = other_layouts.caliscope(drawn, tmp_path / "session")
     assert run("import", folder, "-o", tmp_path / "rec", *BOARD).status == 0
-    ended = run("calibrate", tmp_path / "rec", "-o", tmp_path / "rig.yaml")
-    assert ended.status == 0, ended.stderr
-    is_right(tmp_path / "rig.yaml")
+    calibrates_right(run, tmp_path / "rec", tmp_path / "rig.yaml")
 
 
 def test_names_that_never_coincide(run, drawn, tmp_path):

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -158,15 +159,12 @@ def test_a_recording_that_the_workers_do_not_see(cluster, tmp_path, monkeypatch)
     from rgbd_calib.views.detect import DetectParams
 
     opened = open_recording(draw_recording(tmp_path / "recording", 2, 1))
-    assert opened.color_files
     files = {c: {f: Path("/nowhere") / p.name for f, p in files.items()} for c, files in opened.color_files.items()}
-    vars(opened)["color_files"] = files
-    monkeypatch.setattr("rgbd_calib.pipeline.detection.replace", lambda recording, **_: recording)
+    elsewhere = replace(opened, listed={"color": files, "depth": opened.depth_files, "ir": opened.ir_files})
     with pytest.raises(ConfigError, match="under the same path"):
-        detect(opened, DetectParams(), Workers(dask=cluster.address))
-    monkeypatch.setattr("rgbd_calib.pipeline.doctor.replace", lambda recording, **_: recording)
+        detect(elsewhere, DetectParams(), Workers(dask=cluster.address))
     with pytest.raises(ConfigError, match="under the same path"):  # not images that are damaged
-        examine(opened, Config(), workers=Workers(dask=cluster.address))
+        examine(elsewhere, Config(), workers=Workers(dask=cluster.address))
 
 
 def test_workers_with_another_detector_are_refused(cluster, tmp_path, monkeypatch):

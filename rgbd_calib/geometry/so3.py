@@ -48,6 +48,11 @@ def quaternion_wxyz(R: FloatArray) -> FloatArray:
     return Rotation.from_matrix(R).as_quat(canonical=True, scalar_first=True)
 
 
+def of_quaternion(wxyz: FloatArray) -> FloatArray:
+    """Rotation matrix (3, 3) of a quaternion (4,), (w, x, y, z), of any length but zero."""
+    return Rotation.from_quat(wxyz, scalar_first=True).as_matrix()
+
+
 def mean(R: FloatArray, weights: FloatArray | None = None) -> FloatArray:
     """Mean (3, 3) of rotation matrices (n, 3, 3), in the chordal metric (safe near half turns)."""
     return Rotation.from_matrix(R).mean(weights).as_matrix()

@@ -11,7 +11,8 @@ import numpy as np
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.fast_png import read_rgb
-from rgbd_calib.io.files import read_bytes, whole_file
+from rgbd_calib.io.files import whole_file
+from rgbd_calib.io.reading import read_bytes
 from rgbd_calib.io.schema_base import MAX_SIDE
 
 MAX_BYTES = 256 << 20

@@ -17,9 +17,9 @@ from rgbd_calib.io.dataset import DepthGeometry as DepthGeometry
 from rgbd_calib.io.dataset import read_dataset
 from rgbd_calib.io.dataset import write_dataset as write_dataset
 from rgbd_calib.io.depth_files import depth_in_m, read_depth_raw
-from rgbd_calib.io.files import read_bytes
 from rgbd_calib.io.images import MAX_BYTES, as_bgr, read_image, write_image
 from rgbd_calib.io.layout import FilePatterns, Files, Kind, describe_unused, find_files, find_unused
+from rgbd_calib.io.reading import read_bytes
 from rgbd_calib.io.tables import number, number_or_nan, read_table, short
 from rgbd_calib.io.tables import write_table as write_table
 from rgbd_calib.types import Board

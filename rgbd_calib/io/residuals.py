@@ -13,7 +13,8 @@ import numpy as np
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.io.files import dump_yaml, read_bytes, whole_file
+from rgbd_calib.io.files import dump_yaml, whole_file
+from rgbd_calib.io.reading import read_bytes
 from rgbd_calib.io.rig import rig_data
 from rgbd_calib.io.tables import MAX_BYTES, fill_table, number_or_nan, read_table, short
 from rgbd_calib.types import Rig

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import PydanticCustomError
 
 from rgbd_calib.errors import ConfigError
-from rgbd_calib.io.files import read_bytes
+from rgbd_calib.io.reading import read_bytes
 from rgbd_calib.io.safe_yaml import MAX_BYTES
 from rgbd_calib.io.tables import MAX_NAME, short
 from rgbd_calib.io.yaml_lines import line_of

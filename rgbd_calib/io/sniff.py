@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from rgbd_calib.io.files import read_bytes
 from rgbd_calib.io.images import MAX_BYTES, decode_image, open_image
+from rgbd_calib.io.reading import read_bytes
 
 Pixels = Literal["color", "grey 8", "grey 16", "float"]
 

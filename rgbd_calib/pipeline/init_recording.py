@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -49,7 +50,7 @@ class Found:
     def together(self) -> int:
         """Frames that two cameras or more have."""
         frames = [frame for stream in self.guess.streams["color"].values() for frame in stream.files]
-        return len({f for f in frames if frames.count(f) > 1}) if len(frames) < 10_000 else _repeated(frames)
+        return sum(n > 1 for n in Counter(frames).values())
 
     def float_depth(self, camera: str) -> bool:
         stream = self.guess.streams["depth"].get(camera)
@@ -148,14 +149,6 @@ def sentences(found: Found) -> list[str]:
         lines.append(f"{found.together} frames are in two cameras or more")
     lines += [f"{path}: {own.what}, of {', '.join(own.cameras)}" for path, own in found.calibrations]
     return [*lines, *found.guess.remarks]
-
-
-def _repeated(frames: Sequence[str]) -> int:
-    seen: set[str] = set()
-    twice: set[str] = set()
-    for frame in frames:
-        (twice if frame in seen else seen).add(frame)
-    return len(twice)
 
 
 def _looks(stream: Stream) -> str:

@@ -26,7 +26,7 @@ from rgbd_calib.io.calibrations.common import (
     numbers,
     rigid_of_quaternion,
 )
-from rgbd_calib.io.files import read_bytes
+from rgbd_calib.io.reading import read_bytes
 from rgbd_calib.io.tables import short
 
 _MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV")

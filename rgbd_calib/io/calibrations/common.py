@@ -18,7 +18,7 @@ from rgbd_calib.geometry import so3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io import safe_yaml
-from rgbd_calib.io.files import read_bytes
+from rgbd_calib.io.reading import read_bytes
 from rgbd_calib.io.schema_parts import IntrinsicsModel
 from rgbd_calib.io.tables import short
 from rgbd_calib.types import DepthCamera
@@ -207,15 +207,7 @@ def rigid_of_quaternion(path: Path, key: str, wxyz: Any, translation: Any) -> Fl
     norm = float(np.linalg.norm(q))
     if not 0.9 < norm < 1.1:
         raise ConfigError(f"{path}: {key}: a quaternion of length {norm:.3g} seen, 1 needed. Correct it")
-    w, x, y, z = q / norm
-    R = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    return rigid(path, key, R, numbers(path, key, translation, 3))
+    return rigid(path, key, so3.of_quaternion(q), numbers(path, key, translation, 3))
 
 
 def lens(

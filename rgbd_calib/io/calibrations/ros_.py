@@ -22,7 +22,7 @@ from rgbd_calib.io.calibrations.common import (
     numbers,
     rigid_of_quaternion,
 )
-from rgbd_calib.io.files import read_bytes
+from rgbd_calib.io.reading import read_bytes
 from rgbd_calib.io.tables import short
 
 FISHEYE = ("equidistant", "fisheye", "kannala_brandt")

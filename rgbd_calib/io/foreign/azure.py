@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from rgbd_calib.errors import ConfigError, RgbdCalibError
+from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.calibrations.azure_ import read_device
 from rgbd_calib.io.foreign.source import Encoded, Kind, Picture, Source, SourceCamera, Stamps, Wanted
+from rgbd_calib.io.foreign.video_file import open_video, video_faults
 from rgbd_calib.io.schema_base import MAX_SIDE
 
 _TRACKS: dict[str, Kind] = {"COLOR": "color", "DEPTH": "depth", "IR": "ir"}
@@ -129,42 +128,6 @@ class AzureMkv(Source):
             return SourceCamera(found.intrinsics, serial)
         own = found.depth
         return SourceCamera(found.intrinsics, serial, DEPTH_SCALE, False, own.intrinsics, own.T_color_depth)
-
-
-@contextmanager
-def open_video(path: Path) -> Iterator[Any]:
-    """A video file by PyAV.
-
-    Raises
-    ------
-    ConfigError
-        PyAV is missing, or the file cannot be read.
-    """
-    try:
-        import av
-    except ImportError:
-        raise ConfigError(f"{path}: videos need a package. Install it: pip install 'rgbd-calib[video]'") from None
-    if not path.is_file():
-        raise ConfigError(f"{path}: no such file")
-    av.logging.set_level(None)
-    with video_faults(path):
-        file = av.open(str(path))
-    try:
-        yield file
-    finally:
-        file.close()
-
-
-@contextmanager
-def video_faults(path: Path) -> Iterator[None]:
-    """What PyAV raises on damaged files becomes an error for people."""
-    try:
-        yield
-    except RgbdCalibError:
-        raise
-    except Exception as error:
-        why = " ".join(str(error).split())[:200] or type(error).__name__
-        raise ConfigError(f"{path}: cannot be read as a video ({why}). Is it complete? Copy it again") from error
 
 
 def _whole(text: str | None) -> int:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rgbd_calib.errors import ConfigError, RgbdCalibError
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.bag_limits import limit_expansion
 from rgbd_calib.io.calibrations.common import rigid_of_quaternion
+from rgbd_calib.io.foreign.damaged import faults
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 IMAGE, COMPRESSED, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
@@ -37,7 +37,7 @@ class Bag:
         wanted = [c for c in self._reader.connections if topics(c.topic)]
         raw = self._reader.messages(connections=wanted) if wanted else iter(())
         while True:
-            with faults(self.name):
+            with bag_faults(self.name):
                 connection, time_ns, data = next(raw, (None, 0, b""))
                 if connection is None:
                     return
@@ -55,7 +55,7 @@ class Bag:
             yield read()
 
     def _read(self, connection: Any, data: Any) -> Any:
-        with faults(f"{self.name}: {connection.topic}"):
+        with bag_faults(f"{self.name}: {connection.topic}"):
             return self._reader.deserialize(data, connection.msgtype)
 
 
@@ -72,7 +72,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
     from rosbags.typesys import Stores, get_typestore
 
     limit_expansion()
-    with faults(str(path)):
+    with bag_faults(str(path)):
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
         if not all(isinstance(text, str) for c in reader.connections for text in (c.topic, c.msgtype)):
@@ -84,22 +84,21 @@ def open_bag(path: Path) -> Iterator[Bag]:
         reader.close()
 
 
-@contextmanager
-def faults(where: str) -> Iterator[None]:
-    """What `rosbags` raises on damaged files (struct.error, KeyError, AssertionError, ...) becomes an error for people."""
-    try:
-        yield
-    except RgbdCalibError:
-        raise
-    except Exception as error:
-        why = " ".join(str(error).split())[:200] or type(error).__name__
-        raise ConfigError(f"{where}: cannot be read as a ROS bag ({why}). Is it complete? Copy it again") from error
+def bag_faults(where: str) -> AbstractContextManager[None]:
+    """What `rosbags` raises becomes an error for people."""
+    return faults(where, "a ROS bag")
 
 
 def stamp_us(message: Any) -> int:
     """Time of a message's header, us."""
     stamp = message.header.stamp
     return int(stamp.sec) * 1_000_000 + int(stamp.nanosec) // 1000
+
+
+def matrices(message: Any) -> tuple[FloatArray, FloatArray]:
+    """K (9,) and D of a CameraInfo, which ROS 2 spells in small letters."""
+    K, D = (message.K, message.D) if hasattr(message, "K") else (message.k, message.d)
+    return np.asarray(K, float), np.asarray(D, float)
 
 
 def motion(where: Path, key: str, transform: Any) -> FloatArray:

@@ -14,9 +14,9 @@ from typing import Any
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.calibrations.common import MAX_BYTES, lens_of_matrix, numbers
-from rgbd_calib.io.files import read_bytes
 from rgbd_calib.io.foreign.folder import PictureFolder
-from rgbd_calib.io.foreign.source import Picture, Source, SourceCamera, Stamps, Stems, Wanted
+from rgbd_calib.io.foreign.source import Picture, Source, SourceCamera, Stems, Wanted
+from rgbd_calib.io.reading import read_bytes
 
 
 def is_bop(path: Path) -> bool:
@@ -44,9 +44,6 @@ class BopScene(Source):
             )
         self.cameras = {camera: SourceCamera(lens, None, next(iter(scales)) / 1000, True)}
         self.remarks = (*remarks, *self._folder.remarks)
-
-    def stamps(self) -> Mapping[str, Stamps]:
-        return {}
 
     def stems(self) -> Mapping[str, Stems]:
         return self._folder.stems()

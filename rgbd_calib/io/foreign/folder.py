@@ -14,7 +14,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.calibrations import FoundCamera, read_calibration
 from rgbd_calib.io.folder_guess import Guess, guess_layout
 from rgbd_calib.io.foreign.pictures import SUFFIXES, read_picture, sniff_picture
-from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stamps, Stems, Wanted
+from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stems, Wanted
 from rgbd_calib.io.images import DEPTH_SUFFIXES as DEPTH_IMAGES
 from rgbd_calib.io.images import SUFFIXES as IMAGES
 from rgbd_calib.io.layout import others, walk
@@ -41,17 +41,16 @@ class PictureFolder(Source):
         own = self._guess.cameras
         self._names = {own[0]: camera} if len(own) == 1 else {name: name for name in own}
         remarks = list(self._guess.remarks)
+        files = list(walk(path))
+        self._calibrations = [f for f in files if Path(f).suffix.lower() in _CALIBRATIONS][:_MAX_CALIBRATION_FILES]
         self.cameras = {self._names[name]: self._camera(name, remarks) for name in own}
         taken = {
             file for of_kind in self._guess.streams.values() for own in of_kind.values() for file in own.files.values()
         }
         if not patterns:  # the guess names the images that it leaves
-            taken |= {file for file in walk(path) if Path(file).suffix.lower() in (*IMAGES, *DEPTH_IMAGES, *SUFFIXES)}
+            taken |= {file for file in files if Path(file).suffix.lower() in (*IMAGES, *DEPTH_IMAGES, *SUFFIXES)}
         left = others(path, taken)
         self.remarks = (*(f"{path}: {remark}" for remark in remarks), *([left] if left else []))
-
-    def stamps(self) -> Mapping[str, Stamps]:
-        return {}
 
     def stems(self) -> Mapping[str, Stems]:
         streams = self._guess.streams
@@ -88,14 +87,8 @@ class PictureFolder(Source):
 
     def _calibrated(self, name: str, size: tuple[int, int], words: tuple[str, ...], remarks: list[str]) -> FoundCamera:
         """What a calibration file says of a camera: by the camera's name, by the word, or the only one."""
-        tried = 0
-        for relative in walk(self._path):
+        for relative in self._calibrations:
             path = self._path / relative
-            if path.suffix.lower() not in _CALIBRATIONS:
-                continue
-            tried += 1
-            if tried > _MAX_CALIBRATION_FILES:
-                break
             try:
                 cameras = read_calibration(path, size).cameras
             except ConfigError:

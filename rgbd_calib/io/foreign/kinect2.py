@@ -17,11 +17,11 @@ import numpy as np
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.calibrations import FoundCamera, read_calibration
-from rgbd_calib.io.files import read_bytes
 from rgbd_calib.io.foreign.pictures import read_picture
-from rgbd_calib.io.foreign.source import Encoded, Kind, Picture, Source, SourceCamera, Stamps, Stems, Wanted
+from rgbd_calib.io.foreign.source import Encoded, Kind, Picture, Source, SourceCamera, Stems, Wanted
 from rgbd_calib.io.images import read_image
 from rgbd_calib.io.layout import others
+from rgbd_calib.io.reading import read_bytes
 
 DEPTH_SCALE = 0.001
 _IAI = re.compile(r"(\d+)(_sync)?_(color|ir|depth|grey_ir)\.(png|jpg)", re.IGNORECASE)
@@ -56,8 +56,9 @@ class IaiFolder(Source):
         self.name = str(path)
         self._camera = camera
         self._files: dict[Kind, dict[str, Path]] = {"color": {}, "depth": {}, "ir": {}}
-        grey = 0
-        for file in sorted(path.iterdir()):
+        grey, files = 0, sorted(path.iterdir())
+        has_sync = any("_sync_" in file.name for file in files)
+        for file in files:
             match = _IAI.fullmatch(file.name)
             if match is None:
                 continue
@@ -66,7 +67,7 @@ class IaiFolder(Source):
                 continue
             kind: Kind = match[3].lower()  # type: ignore[assignment]
             # one camera's own pictures have numbers of their own: they are no instant of the other
-            prefix = "" if match[2] or not self._has_sync(path) else "color_" if kind == "color" else "ir_"
+            prefix = "" if match[2] or not has_sync else "color_" if kind == "color" else "ir_"
             self._files[kind][prefix + match[1]] = file
         if not self._files["color"]:
             raise ConfigError(f"{path}: no colour images in it; a calibration needs colour. Record both")
@@ -87,17 +88,10 @@ class IaiFolder(Source):
         )
         if found.intrinsics is None:
             remarks.append(f"{path}: no calib_color.yaml in it: its lenses are not known")
-        known = {p.name for p in path.iterdir() if _IAI.fullmatch(p.name)}
+        known = {file.name for file in files if _IAI.fullmatch(file.name)}
         if left := others(path, known):
             remarks.append(left)
         self.remarks = tuple(remarks)
-
-    @staticmethod
-    def _has_sync(path: Path) -> bool:
-        return any("_sync_" in p.name for p in path.iterdir())
-
-    def stamps(self) -> Mapping[str, Stamps]:
-        return {}
 
     def stems(self) -> Mapping[str, Stems]:
         return {self._camera: {kind: list(files) for kind, files in self._files.items() if files}}
@@ -142,9 +136,6 @@ class FreenectDump(Source):
         if rest := others(path, known):
             remarks.append(rest)
         self.remarks = tuple(remarks)
-
-    def stamps(self) -> Mapping[str, Stamps]:
-        return {}
 
     def stems(self) -> Mapping[str, Stems]:
         return {self._camera: {kind: list(files) for kind, files in self._files.items()}}

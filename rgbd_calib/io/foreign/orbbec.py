@@ -18,7 +18,7 @@ from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.calibrations.common import numbers, rigid
 from rgbd_calib.io.calibrations.makers_lens import ORBBEC, lens_of_maker
-from rgbd_calib.io.foreign.bag import Bag, faults, open_bag, stamp_us
+from rgbd_calib.io.foreign.bag import Bag, bag_faults, open_bag, stamp_us
 from rgbd_calib.io.foreign.ros_images import picture_of
 from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stamps, Wanted
 
@@ -60,7 +60,7 @@ class OrbbecBag(Source):
             with open_bag(self._path) as bag:
                 for topic, _, read in bag.messages(self._streams.__contains__):
                     message = read()
-                    with faults(self.name):
+                    with bag_faults(self.name):
                         found[self._streams[topic]].append(
                             int(getattr(message, "timestamp_usec", 0)) or stamp_us(message)
                         )
@@ -76,7 +76,7 @@ class OrbbecBag(Source):
                 counts[kind] += 1
                 if wanted(self._camera, kind, index):
                     message = read()
-                    with faults(f"{self.name}: {topic}"):
+                    with bag_faults(f"{self.name}: {topic}"):
                         yield Picture(self._camera, kind, index, picture_of(message, kind, f"{self.name}: {topic}"))
 
     def _read_camera(self, bag: Bag, remarks: list[str]) -> SourceCamera:
@@ -88,7 +88,7 @@ class OrbbecBag(Source):
         if "depth" not in self._streams.values() or own is None:
             return SourceCamera(color, serial)
         depth = self._lens(own, "depth", remarks)
-        with faults(self.name):
+        with bag_faults(self.name):
             R = numbers(self._path, "rotationMatrix", own.rotationMatrix, 9).reshape(3, 3)
             t = numbers(self._path, "translationMatrix", own.translationMatrix, 3) / 1000
             T = rigid(self._path, "streamProfileType_3", R, t) if np.any(R) else None
@@ -100,7 +100,7 @@ class OrbbecBag(Source):
         return bag.first(topic) if topic in bag.types else None
 
     def _lens(self, profile: Any, kind: str, remarks: list[str]) -> Intrinsics | None:
-        with faults(f"{self.name}: lens of {kind}"):
+        with bag_faults(f"{self.name}: lens of {kind}"):
             fx, fy, cx, cy = numbers(self._path, f"{kind}: cameraIntrinsic", profile.cameraIntrinsic, 4)
             k1, k2, k3, k4, k5, k6, p1, p2 = numbers(
                 self._path, f"{kind}: cameraDistortion", profile.cameraDistortion, 8

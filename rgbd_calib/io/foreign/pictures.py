@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
-from rgbd_calib.io.files import read_bytes
 from rgbd_calib.io.foreign.source import Encoded, Kind
 from rgbd_calib.io.images import MAX_BYTES, as_bgr, decode_image, read_image
+from rgbd_calib.io.reading import read_bytes
 from rgbd_calib.io.schema_base import MAX_SIDE
 from rgbd_calib.io.sniff import Sniffed, sniff
 

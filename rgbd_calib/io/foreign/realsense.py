@@ -21,7 +21,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.calibrations.common import numbers, rigid
 from rgbd_calib.io.calibrations.makers_lens import lens_of_maker
-from rgbd_calib.io.foreign.bag import Bag, faults, motion, open_bag, stamp_us
+from rgbd_calib.io.foreign.bag import Bag, bag_faults, matrices, motion, open_bag, stamp_us
 from rgbd_calib.io.foreign.ros_images import picture_of
 from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stamps, Wanted
 
@@ -75,7 +75,7 @@ class RealSenseBag(Source):
         with open_bag(self._path) as bag:
             for topic, _, read in bag.messages(lambda t: t in self._streams or t in metadata):
                 message = read()
-                with faults(self.name):
+                with bag_faults(self.name):
                     if topic in self._streams:
                         device[topic].append(stamp_us(message))
                         host[topic].append(None)
@@ -117,7 +117,7 @@ class RealSenseBag(Source):
                 counts[topic] += 1
                 if wanted(camera, kind, index):
                     message = read()
-                    with faults(f"{self.name}: {topic}"):
+                    with bag_faults(f"{self.name}: {topic}"):
                         yield Picture(camera, kind, index, picture_of(message, kind, f"{self.name}: {topic}"))
 
     def _camera(self, bag: Bag, device: str, camera: str, remarks: list[str]) -> SourceCamera:
@@ -142,10 +142,9 @@ class RealSenseBag(Source):
             message = bag.first(topic) if topic in bag.types else None
             if message is None:
                 continue
-            with faults(f"{self.name}: {topic}"):
+            with bag_faults(f"{self.name}: {topic}"):
                 if hasattr(message, "height"):
-                    K = np.asarray(message.K if hasattr(message, "K") else message.k, float)
-                    D = np.asarray(message.D if hasattr(message, "D") else message.d, float)
+                    K, D = matrices(message)
                     size, model = (int(message.width), int(message.height)), str(message.distortion_model)
                     focal, centre = (K[0], K[4]), (K[2], K[5])
                 else:
@@ -166,7 +165,7 @@ class RealSenseBag(Source):
         message = None if topic is None else bag.first(topic)
         if message is None or topic is None:
             return None
-        with faults(f"{self.name}: {topic}"):
+        with bag_faults(f"{self.name}: {topic}"):
             if hasattr(message, "rotation"):
                 return motion(self._path, topic, message)
             own = {key: value.split(",") for key, value in _pairs(message)}
@@ -197,7 +196,7 @@ def _option(bag: Bag, sensor: str, names: tuple[str, ...]) -> float | None:
         topic = f"{sensor}/option/{name}/value"
         message = bag.first(topic) if topic in bag.types else None
         if message is not None:
-            with faults(f"{bag.name}: {topic}"):
+            with bag_faults(f"{bag.name}: {topic}"):
                 value = float(f"{float(message.data):.6g}")
             return value if 1e-6 <= value <= 1 else None
     return None

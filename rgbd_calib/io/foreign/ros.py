@@ -18,7 +18,7 @@ from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.calibrations.ros_ import lens_of_info
-from rgbd_calib.io.foreign.bag import COMPRESSED, IMAGE, INFO, Bag, faults, motion, open_bag, stamp_us
+from rgbd_calib.io.foreign.bag import COMPRESSED, IMAGE, INFO, Bag, bag_faults, matrices, motion, open_bag, stamp_us
 from rgbd_calib.io.foreign.ros_images import picture_of
 from rgbd_calib.io.foreign.ros_topics import CameraTopics, find_topics
 from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stamps, Wanted
@@ -59,7 +59,7 @@ class RosBag(Source):
             with open_bag(self._path) as bag:
                 for topic, _, read in bag.messages(self._streams.__contains__):
                     camera, kind = self._streams[topic]
-                    with faults(self.name):
+                    with bag_faults(self.name):
                         found[camera][kind].append(stamp_us(read()))
             self._stamps = found
         return self._stamps
@@ -74,7 +74,7 @@ class RosBag(Source):
                 if wanted(camera, kind, index):
                     where = f"{self.name}: {topic}"
                     message = read()
-                    with faults(where):
+                    with bag_faults(where):
                         yield Picture(camera, kind, index, picture_of(message, kind, where))
 
     def _check(self, types: Mapping[str, str]) -> None:
@@ -137,7 +137,7 @@ def _static_transforms(path: Path, bag: Bag) -> _Transforms:
     transforms = _Transforms()
     for topic in (t for t in bag.types if t.strip("/") == "tf_static"):
         for message in bag.all(topic):
-            with faults(f"{path}: {topic}"):
+            with bag_faults(f"{path}: {topic}"):
                 for own in message.transforms:
                     parent, child = own.header.frame_id.strip("/"), own.child_frame_id.strip("/")
                     transforms.add(parent, child, motion(path, f"{topic}: {child}", own.transform))
@@ -150,7 +150,7 @@ def _extrinsics(path: Path, bag: Bag, topics: CameraTopics) -> FloatArray | None
     message = None if topic is None else bag.first(topic)
     if message is None:
         return None
-    with faults(f"{path}: {topic}"):
+    with bag_faults(f"{path}: {topic}"):
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = np.array(message.rotation, float).reshape(3, 3).T, message.translation
     return T
@@ -158,7 +158,7 @@ def _extrinsics(path: Path, bag: Bag, topics: CameraTopics) -> FloatArray | None
 
 def _frame_id(bag: Bag, topic: str) -> str:
     message = bag.first(topic)
-    with faults(f"{bag.name}: {topic}"):
+    with bag_faults(f"{bag.name}: {topic}"):
         return "" if message is None else str(message.header.frame_id).strip("/")
 
 
@@ -170,9 +170,8 @@ def _info(path: Path, bag: Bag, camera: str, topic: str, remarks: list[str]) -> 
     message: Any = None if name is None else bag.first(name)
     if message is None:
         return None
-    with faults(f"{path}: {name}"):
-        K = np.asarray(message.K if hasattr(message, "K") else message.k, float)
-        D = np.asarray(message.D if hasattr(message, "D") else message.d, float)
+    with bag_faults(f"{path}: {name}"):
+        K, D = matrices(message)
         if not K[0] > 0:
             remarks.append(f"{path}: {name}: no camera matrix in it (fx is 0): not used")
             return None

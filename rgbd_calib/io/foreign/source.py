@@ -74,9 +74,9 @@ class Source(ABC):
     board: Board | None = None
     """The board that it says was filmed."""
 
-    @abstractmethod
     def stamps(self) -> Mapping[str, Stamps]:
-        """Times of all pictures by camera; empty sequences where there are none."""
+        """Times of all pictures by camera; empty sequences where there are none. Of sources without times: nothing."""
+        return {}
 
     def stems(self) -> Mapping[str, Stems] | None:
         """Names of all pictures by camera, where equal names are one instant; None where times tell it."""

@@ -14,10 +14,10 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
-from rgbd_calib.io.files import read_bytes
 from rgbd_calib.io.foreign.pictures import read_picture
 from rgbd_calib.io.foreign.source import Encoded, Kind, Picture, Source, SourceCamera, Stamps, Wanted
 from rgbd_calib.io.layout import others
+from rgbd_calib.io.reading import read_bytes
 from rgbd_calib.io.tables import short
 
 MAX_LIST_BYTES = 64 << 20

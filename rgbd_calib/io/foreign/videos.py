@@ -15,10 +15,10 @@ import numpy as np
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.camera_names import TOKENS, name_cameras
 from rgbd_calib.io.folder_guess import Stream, find_streams, kind_of
-from rgbd_calib.io.foreign.azure import open_video, video_faults
 from rgbd_calib.io.foreign.pictures import SUFFIXES as PICTURE_SUFFIXES
 from rgbd_calib.io.foreign.pictures import read_picture, sniff_picture
-from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stamps, Stems, Wanted
+from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stems, Wanted
+from rgbd_calib.io.foreign.video_file import open_video, video_faults
 from rgbd_calib.io.images import DEPTH_SUFFIXES
 from rgbd_calib.io.images import SUFFIXES as IMAGE_SUFFIXES
 from rgbd_calib.io.layout import others, walk
@@ -97,9 +97,6 @@ class Videos(Source):
             if rest := others(root, {*found, *images}):
                 remarks.append(rest)
         self.remarks = tuple(remarks)
-
-    def stamps(self) -> Mapping[str, Stamps]:
-        return {}
 
     def stems(self) -> Mapping[str, Stems]:
         out: dict[str, dict[Kind, list[str]]] = {name: {} for name in self.cameras}

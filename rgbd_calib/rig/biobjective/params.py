@@ -106,7 +106,7 @@ class RefinementResult:
     """Pixel residuals less the share of the unknowns that they determined."""
     redundancy_3d: float
     variance_factor_2d: float
-    """Mean square of the residuals over what `sigma_2d_px` lets expect: 1 within sqrt(2 / redundancy) if all is well."""
+    """Mean square of the residuals over what `sigma_2d_px` predicts: 1 within sqrt(2 / redundancy) if all is well."""
     variance_factor_3d: float
     history: tuple[Round, ...]
     cost: float
