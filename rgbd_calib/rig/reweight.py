@@ -51,6 +51,8 @@ DISTANCE_DOF = 1.0
 """Of what was said of the walls' distances, or assumed: known to a factor of two or three."""
 DISTANCE_SIGMAS = 2.0
 """A written distance that is farther off counts less: a dozen of them do not average a slip out."""
+SIZE_STEP = 0.6
+"""Of the way to the new size, as logarithms: what a size makes of the estimate is not linear, and a full step may swing."""
 SIZE_ROUNDS = 50
 """Of the sizes of variance components and their parameters."""
 MIN_REDUNDANCY = 10.0
@@ -129,7 +131,8 @@ def _sizes(problem: Problem, state: State, covariance: Covariance) -> dict[str, 
                 n_told = max(len(R[k]) - float(np.sum(C[part, part] * R[k])) / size2[k], 0.0)
                 squares = c.dof * c.usual**2 + float(own[part] @ R[k] @ own[part])
                 size2[k] = squares / (c.dof + n_told)
-        sizes |= {c.name: float(np.sqrt(size)) for (_, c), size in zip(group, size2, strict=True)}
+        for (_, c), size in zip(group, size2, strict=True):
+            sizes[c.name] *= (float(np.sqrt(size)) / sizes[c.name]) ** SIZE_STEP
     return sizes
 
 

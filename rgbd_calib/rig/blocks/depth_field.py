@@ -20,6 +20,8 @@ from rgbd_calib.rig.blocks.depth_error import DepthErrorBlock
 
 DEGREE = 8
 """Eight shapes across the image; what is rougher, only walls show."""
+BANDS = (1, 2), (3, 5), (6, 8)
+"""Degrees whose coefficients are of one size, less the square of the degree: single degrees do not stand out of a lens."""
 DOF = 0.001
 """Of what is usual: hardly known, since some sensors err by nothing that is seen."""
 GROWTH, GROWTH_SD = np.array([2.0, 0.0]), np.array([0.7, 0.2])
@@ -48,9 +50,10 @@ class DepthField(DepthErrorBlock):
         free, components = np.zeros((self.sets, n), bool), []
         for c in range(self.sets):
             free[c] = bool(np.any(own.obs.has_depth[own.obs.camera == c]) or np.any(own.walls.camera == c))
-            for d in range(1, DEGREE + 1):
-                at, usual = c * n + np.flatnonzero(degree == d), own.params.field_m / d**2
-                components.append(Component(f"{own.cameras[c]}: depth field {d}", at, np.eye(len(at)), usual, DOF))
+            for low, high in BANDS:
+                at = np.flatnonzero((degree >= low) & (degree <= high))
+                name = f"{own.cameras[c]}: depth field {low} to {high}"
+                components.append(Component(name, c * n + at, np.diag(degree[at] ** 4.0), own.params.field_m, DOF))
         assumed = np.zeros(self.size, bool)
         return BlockPrior(mean.ravel(), np.diag(information.ravel()), free.ravel(), assumed, tuple(components))
 
