@@ -66,14 +66,14 @@ def alignment_m(result: Solution, truth: Rig) -> float:
     return float(against_truth(rig_of(result), truth, {}, None).distance_m.mean())
 
 
-def problem(seed: int, every_block: bool = False) -> tuple[Problem, State]:
+def problem(seed: int, every_block: bool = False, hold: tuple[str, ...] = ()) -> tuple[Problem, State]:
     """A small two-sided problem with a single-camera frame, away from its minimum."""
     rng = np.random.default_rng(seed)
     rig, board = sv.ring(3, biased=True), sv.TWO_SIDED
     views = draw(rig, board, 4, rng)
     views[0] = replace(views[0], view=replace(views[0].view, frame="alone"))
     T = {name: se3.retract(own.T_world_color, rng.normal(0, 0.003, 6)) for name, own in rig.cameras.items()}
-    params = BundleParams(sigma_2d_px=0.1, k_depth_per_m=7e-4)
+    params = BundleParams(sigma_2d_px=0.1, k_depth_per_m=7e-4, hold=hold)
     own, state, _ = problem_of(views, board, priors_of(rig, rng), T, "C1", params)
     if every_block:
         own = Problem.of(own.setup, (*ESTIMATED, *HELD))
@@ -122,12 +122,12 @@ HELD_IN_PREDICTION = {"pixel field"}
 
 
 def test_the_minimum_is_that_of_scipy() -> None:
-    own, state = problem(7)
+    own, state = problem(7, hold=("depth field", "corner offsets"))  # linear, and slow by differences
     found = solve.minimize(own, state, 100, 1e-14)
-    free = np.flatnonzero(own.free)
+    free = np.flatnonzero(own.prior.free)
     F = own.obs.n_frames
     w_pixel, w_depth = own.weights.scales(own.obs)
-    root = np.linalg.cholesky(own.prior.information + 1e-30 * np.eye(len(own.free))).T
+    root = np.linalg.cholesky(own.prior.information + 1e-30 * np.eye(own.n_globals)).T
 
     def residuals(x: np.ndarray) -> np.ndarray:
         step = np.zeros(own.n_globals)
@@ -257,7 +257,7 @@ def test_a_camera_that_no_view_joins_any_more_is_an_error() -> None:
         solved(rig, lone, sv.BOARD, rng)
 
 
-def test_what_one_square_view_cannot_tell_is_said_and_held() -> None:
+def test_what_one_square_view_cannot_tell_is_said_and_left_to_what_is_assumed() -> None:
     rng = np.random.default_rng(2)
     rig = sv.arc(2)
     T = se3.make(np.eye(3), np.array([-0.2, -0.1, 2.0]))
@@ -266,7 +266,11 @@ def test_what_one_square_view_cannot_tell_is_said_and_held() -> None:
     poses = {name: own.T_world_color for name, own in rig.cameras.items()}
     result = bundle(views, sv.BOARD, priors, poses, "C1")
     assert any("C1's principal point cx" in sentence for sentence in result.observability.sentences)
-    assert result.state.intrinsics[0][2] == rig.cameras["C1"].intrinsics.cx
+    at = result.index("intrinsics", "C1")[2]
+    assert result.observability.undetermined[at]
+    # the noise of 54 corners draws it by less than what is assumed of it
+    sd_px = result.problem.prior.information[at, at] ** -0.5
+    assert abs(result.state.intrinsics[0][2] - rig.cameras["C1"].intrinsics.cx) < 0.1 * sd_px
 
 
 def test_a_camera_without_depth_takes_part() -> None:
@@ -316,4 +320,5 @@ def test_free_structure_does_not_mind_a_board_that_is_not_what_was_printed() -> 
         poses.append((error, np.sqrt(np.diag(covariance)), rigid.problem.weights.sigma_2d_px.min()))
     (right, sd, fits), (wrong, _, does_not) = poses
     assert np.abs(right - wrong).max() < 0.2 * sd.max()
-    assert fits < 0.12 < 0.2 < does_not
+    # the board's shape takes what lies in its plane; what stands out of it by a millimetre, at 45 degrees, is left
+    assert fits < 0.12 < does_not
