@@ -19,6 +19,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig import faces, observability, outliers, solve
 from rgbd_calib.rig.blocks import Boards
 from rgbd_calib.rig.common_errors import common_errors
+from rgbd_calib.rig.local_field import local_fields
 from rgbd_calib.rig.observations import Walls, observe
 from rgbd_calib.rig.problem import Problem, State
 from rgbd_calib.rig.reweight import reweighted
@@ -164,7 +165,7 @@ def _round(problem: Problem, state: State, n_dropped: int) -> tuple[Problem, Sta
     """Solve and weigh once: what changed of the weights, and what to tell of it."""
     params = problem.setup.params
     minimum = solve.minimize(problem, state, params.max_iterations, params.round_tolerance)
-    with_fields = problem.with_local_fields(minimum.state)
+    with_fields = replace(problem, local=local_fields(problem, minimum.state))
     weights = reweighted(with_fields, minimum.state, solve.covariance(with_fields, minimum.state))
     moved = problem.weights.change(weights)
     told = _told(minimum.cost, weights, n_dropped)

@@ -19,6 +19,7 @@ from rgbd_calib.geometry.depth_error import CellPattern, terms
 from rgbd_calib.geometry.linear import BoolArray, IntArray
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks import depth_field
+from rgbd_calib.rig.problem import Problem, State
 
 POWERS = (0, 1, 2)
 """Fixed pattern and range errors of time of flight, and disparity."""
@@ -30,6 +31,23 @@ LEAST_SEEN = 0.5
 """Share of the walls in which a cell must be seen."""
 ROUNDS = 40
 """Of expectation and maximisation."""
+
+
+def local_fields(problem: Problem, state: State) -> tuple[CellPattern | None, ...]:
+    """The pattern of each camera that the walls show at a state; empty where there are no walls."""
+    walls, found = problem.setup.walls, list[CellPattern | None]()
+    if not walls.n:
+        return ()
+    left_m, sizes_px = problem.wall_residuals(state), problem.setup.sizes_px
+    for c, grid in enumerate(walls.grids):
+        mine, cells = walls.camera == c, slice(0, int(np.prod(grid)))
+        pixels_px, depth_m, seen = (x[mine][:, cells] for x in (walls.pixels_px, walls.depth_m, walls.seen))
+        own_m = left_m[mine][:, cells]
+        if problem.local and (now := problem.local[c]) is not None:
+            own_m = own_m + now.error_m(pixels_px, depth_m, sizes_px[c])
+        shape = (len(own_m), *grid)
+        found.append(local_field(own_m.reshape(shape), depth_m.reshape(shape), seen.reshape(shape)))
+    return tuple(found)
 
 
 def local_field(left_m: FloatArray, depth_m: FloatArray, seen: BoolArray) -> CellPattern | None:

@@ -31,7 +31,6 @@ from rgbd_calib.rig.blocks import (
     WallPlanes,
 )
 from rgbd_calib.rig.blocks.board_shape import nominal_corners_m
-from rgbd_calib.rig.local_field import local_field
 from rgbd_calib.rig.observations import Observations
 from rgbd_calib.rig.setup import Setup
 from rgbd_calib.rig.sight import Look, Sight
@@ -279,23 +278,6 @@ class Problem:
         for some, look, _ in self.looks_at_walls(state, range(len(self.setup.cameras))):
             out[some] = look.left[..., 0]
         return out
-
-    def with_local_fields(self, state: State) -> Problem:
-        """With the patterns that the walls show at a state."""
-        walls, found = self.setup.walls, list[CellPattern | None]()
-        if not walls.n:
-            return self
-        left, sizes = self.wall_residuals(state), self.setup.sizes_px
-        for c in range(len(self.setup.cameras)):
-            mine, grid = walls.camera == c, walls.grids[c]
-            cells = slice(0, int(np.prod(grid)))
-            own = left[mine][:, cells]
-            if self.local and (now := self.local[c]) is not None:
-                own = own + now.error_m(walls.pixels_px[mine][:, cells], walls.depth_m[mine][:, cells], sizes[c])
-            shape = (len(own), *grid)
-            depth, seen = walls.depth_m[mine][:, cells], walls.seen[mine][:, cells]
-            found.append(local_field(own.reshape(shape), depth.reshape(shape), seen.reshape(shape)))
-        return replace(self, local=tuple(found))
 
     def in_front(self, state: State) -> bool:
         """True where every observed corner lies before its camera."""
