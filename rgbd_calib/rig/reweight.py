@@ -130,7 +130,7 @@ def _sizes(problem: Problem, state: State, covariance: Covariance) -> dict[str, 
             for k, (part, (_, c)) in enumerate(zip(parts, group, strict=True)):
                 n_told = max(len(R[k]) - float(np.sum(C[part, part] * R[k])) / size2[k], 0.0)
                 squares = c.dof * c.usual**2 + float(own[part] @ R[k] @ own[part])
-                size2[k] = squares / (c.dof + n_told)
+                size2[k] = min(squares / (c.dof + n_told), c.most**2)
         for (_, c), size in zip(group, size2, strict=True):
             sizes[c.name] *= (float(np.sqrt(size)) / sizes[c.name]) ** SIZE_STEP
     return sizes

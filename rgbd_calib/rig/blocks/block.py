@@ -7,6 +7,7 @@ self-checks, and what is told to people all come from it. To add an unknown, wri
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -60,6 +61,8 @@ class Component:
     """R (k, k)."""
     usual: float
     dof: float
+    most: float = math.inf
+    """No such thing is larger."""
 
 
 @dataclass(frozen=True)

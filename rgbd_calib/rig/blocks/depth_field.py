@@ -21,9 +21,11 @@ from rgbd_calib.rig.blocks.depth_error import DepthErrorBlock
 DEGREE = 8
 """Eight shapes across the image; what is rougher, only walls show."""
 BANDS = (1, 2), (3, 5), (6, 8)
-"""Degrees whose coefficients are of one size, less the square of the degree: single degrees do not stand out of a lens."""
-DOF = 0.001
+"""Degrees whose coefficients are of one size, over the degree: single degrees do not stand out of a lens."""
+DOF = 0.1
 """Of what is usual: hardly known, since some sensors err by nothing that is seen."""
+MOST = 10.0
+"""Times what is usual: a sensor that errs by more is broken. Boards alone would let shapes take what other errors leave."""
 GROWTH, GROWTH_SD = np.array([2.0, 0.0]), np.array([0.7, 0.2])
 """Prior of p and q: disparity, or range."""
 
@@ -53,7 +55,7 @@ class DepthField(DepthErrorBlock):
             for low, high in BANDS:
                 at = np.flatnonzero((degree >= low) & (degree <= high))
                 name = f"{own.cameras[c]}: depth field {low} to {high}"
-                components.append(Component(name, c * n + at, np.diag(degree[at] ** 4.0), own.params.field_m, DOF))
+                components.append(Component(name, c * n + at, np.diag(degree[at] ** 2.0), own.params.field_m, DOF, MOST * own.params.field_m))
         assumed = np.zeros(self.size, bool)
         return BlockPrior(mean.ravel(), np.diag(information.ravel()), free.ravel(), assumed, tuple(components))
 
