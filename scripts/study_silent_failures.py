@@ -155,7 +155,7 @@ def place_error_mm(rig: Rig, session: Session) -> float:
     places, true = [], []
     for name in rig.cameras:
         seen = uncertainty.observe(truth, name, points)
-        at = uncertainty.place(rig, name, seen.pixels_px, seen.raw_m)
+        at = uncertainty.place(rig, name, seen)
         kept = seen.seen & np.isfinite(at).all(axis=1)
         places.append(at[kept])
         true.append(points[kept])

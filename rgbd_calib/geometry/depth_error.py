@@ -77,6 +77,15 @@ class CellPattern:
     powers: tuple[int, ...]
     values: FloatArray
     """(powers, rows, columns) of cells that fill the image."""
+    covariance: FloatArray | None = None
+    """(powers, powers) of the values of one cell, the mean over the image, where it is known."""
+
+    def variance_m2(self, z_m: FloatArray) -> FloatArray:
+        """Of the pattern at reported depths (...); zero where it is not known."""
+        if self.covariance is None:
+            return np.zeros(np.shape(z_m))
+        V = np.asarray(z_m)[..., None] ** np.array(self.powers, float)
+        return np.asarray(np.einsum("...p,pq,...q->...", V, self.covariance, V))
 
     def error_m(self, pixels_px: FloatArray, z_m: FloatArray, size_px: FloatArray) -> FloatArray:
         """(...), metres, at pixels (..., 2) of an image of `size_px` (2,) and reported depths (...)."""
@@ -123,6 +132,11 @@ class PolynomialField:
         if self.pattern is None:
             return out
         return out + self.pattern.error_m(pixels_px, z, np.array([self.width, self.height], float))
+
+    def pattern_variance_m2(self, z_m: FloatArray) -> FloatArray:
+        """(...), of what is finer than the polynomials, at reported depths (...)."""
+        z = np.clip(z_m, self.min_m, self.max_m)
+        return np.zeros(z.shape) if self.pattern is None else self.pattern.variance_m2(z)
 
     def by_parameters(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:
         """(..., k) derivatives of the field by its coefficients, then by p and q."""

@@ -100,9 +100,13 @@ class CellPatternModel(Model):
 
     powers: Annotated[list[Annotated[int, Field(ge=-2, le=4)]], Field(min_length=1, max_length=4)]
     values: Annotated[list[Annotated[list[list[Finite]], Field(min_length=1, max_length=500)]], Field(min_length=1)]
+    covariance: list[list[Finite]] | None = None
 
     @model_validator(mode="after")
     def _box(self) -> CellPatternModel:
+        n = len(self.powers)
+        if self.covariance is not None and [len(row) for row in self.covariance] != [n] * n:
+            raise ValueError(f"covariance is not {n} x {n}, one row for each power")
         if len(self.values) != len(self.powers):
             raise ValueError("values are not one table for each power")
         if len({(len(table), len(row)) for table in self.values for row in table}) != 1 or not self.values[0][0]:
@@ -110,7 +114,8 @@ class CellPatternModel(Model):
         return self
 
     def value(self) -> CellPattern:
-        return CellPattern(tuple(self.powers), np.array(self.values))
+        covariance = None if self.covariance is None else np.array(self.covariance)
+        return CellPattern(tuple(self.powers), np.array(self.values), covariance)
 
 
 class PolynomialFieldModel(Model):
@@ -187,7 +192,10 @@ def field_data(field: DepthField) -> dict[str, Any]:
     names = ("width", "height", "degree", "coefficients", "min_m", "max_m", "covariance")
     own = {name: getattr(field, name) for name in names if getattr(field, name) is not None}
     if field.pattern is not None:
-        own["pattern"] = {"powers": list(field.pattern.powers), "values": field.pattern.values}
+        pattern = field.pattern
+        own["pattern"] = {"powers": list(pattern.powers), "values": pattern.values}
+        if pattern.covariance is not None:
+            own["pattern"]["covariance"] = pattern.covariance
     return {"basis": "legendre", "growth": list(field.growth), **own}
 
 

@@ -84,7 +84,7 @@ def local_field(left_m: FloatArray, depth_m: FloatArray, seen: BoolArray) -> Cel
         lost = np.einsum("wp,bpq,wq,b->", A, posterior, A, count)
         noise = (float(np.sum((q - fitted)[known] ** 2)) + lost * known.mean()) / known.sum()
         filled = np.where(known, q, fitted)
-    return CellPattern(POWERS, values.transpose(2, 0, 1))
+    return CellPattern(POWERS, values.transpose(2, 0, 1), np.einsum("b,bpq->pq", count / band.size, posterior))
 
 
 def _rough(q: FloatArray, known: BoolArray) -> FloatArray:

@@ -45,6 +45,7 @@ PATCHES = (10, 8)
 """Of the image of a wall, across and down: finer than the shapes of a depth field."""
 MIN_PATCHES = 27
 """Patches that a field of the sixth degree explains."""
+WALL_PARAMETERS = 3
 MEDIAN_OF_ABSOLUTE = 0.6745
 """Of a normal error, in deviations."""
 DISTANCE_DOF = 1.0
@@ -159,8 +160,8 @@ def _prior(R: Sequence[FloatArray], size2: FloatArray, parts: Sequence[slice]) -
 def _wall_weights(problem: Problem, state: State) -> tuple[FloatArray, FloatArray]:
     """k (C,) and robust weights (W, N) of the cells of walls.
 
-    What neighbouring cells, and the same place of all walls, have in common is no noise that averages out: the variance is
-    that of the means of patches over all walls of a camera, times the cells in each.
+    What neighbouring cells of a wall, and the same place of all walls, have in common is no noise that averages out: the
+    variance is that of the means of patches, of each wall or over all, times the cells in each.
     """
     walls, old, own = problem.setup.walls, problem.weights, problem.setup
     k, robust = old.k_wall.copy(), old.robust_wall
@@ -174,16 +175,22 @@ def _wall_weights(problem: Problem, state: State) -> tuple[FloatArray, FloatArra
             continue
         place = np.clip((walls.pixels_px[mine] + 0.5) / own.sizes_px[c] * PATCHES, 0, np.array(PATCHES) - 1).astype(int)
         patch = (place[..., 0] * PATCHES[1] + place[..., 1])[used]
-        w = robust[mine][used]
-        count, total = np.bincount(patch, w), np.bincount(patch, w * r[mine][used])
-        there = count > 0
-        left = max(int(there.sum()) - MIN_PATCHES, 1)
-        in_common = float(np.sum(total[there] ** 2 / count[there])) / left
-        alone = float(np.sum(w * r[mine][used] ** 2) / np.sum(w))
-        k[c] = max(np.sqrt(max(in_common, alone)), 1e-6)
+        of_wall = np.nonzero(used)[0] * np.prod(PATCHES) + patch
+        w, own_r = robust[mine][used], r[mine][used]
+        alone = float(np.sum(w * own_r**2) / np.sum(w))
+        n_planes = WALL_PARAMETERS * int(used.any(axis=1).sum())
+        of_patches = (_variance(of_wall, w, own_r, n_planes), _variance(patch, w, own_r, MIN_PATCHES))
+        k[c] = max(np.sqrt(max(alone, *of_patches)), 1e-6)
     sigma = np.where(walls.seen, k[walls.camera, None], 1.0)
     alone_sigma = np.sqrt(np.median((r**2)[walls.seen])) / MEDIAN_OF_ABSOLUTE if walls.seen.any() else 1.0
     return k, huber((r / np.minimum(sigma, 3 * alone_sigma))[..., None], own.params.huber_sigmas) * walls.seen
+
+
+def _variance(group: IntArray, w: FloatArray, r: FloatArray, n_fitted: int) -> float:
+    """Of single values r (n,) with weights w, from the means of groups, of which `n_fitted` parameters have followed."""
+    count, total = np.bincount(group, w), np.bincount(group, w * r)
+    there = count > 0
+    return float(np.sum(total[there] ** 2 / count[there])) / max(int(there.sum()) - n_fitted, 1)
 
 
 def _robust(problem: Problem, state: State, new: Weights, pixel: FloatArray, depth: FloatArray) -> Weights:

@@ -143,6 +143,7 @@ def expected_alignment(
         return None
     kept = {name: o.only(often) for name, o in observed.items()}
     derivatives = {name: place_derivatives(rig, name, o) for name, o in kept.items()}
+    patterns = {name: _pattern_covariance(rig, name, o) for name, o in kept.items()}
     parts = {name: _parts(joint.parameters[name], derivatives[name]) for name in names}
     pairs = {}
     for a, b in combinations(names, 2):
@@ -151,7 +152,8 @@ def expected_alignment(
             at = np.concatenate([parts[a][0], parts[b][0]])
             J = np.concatenate([parts[a][1][both], -parts[b][1][both]], axis=-1)
             pairs[a, b] = np.full(len(both), np.nan)
-            pairs[a, b][both] = _mean_length(J @ joint.matrix[np.ix_(at, at)] @ J.transpose(0, 2, 1))
+            S = J @ joint.matrix[np.ix_(at, at)] @ J.transpose(0, 2, 1)
+            pairs[a, b][both] = _mean_length(S + patterns[a][both] + patterns[b][both])
     return ExpectedAlignment(points_m[often], pairs)
 
 
@@ -188,6 +190,16 @@ def place_derivatives(rig: Rig, name: str, observed: Observed) -> dict[str, Floa
         shapes = own.depth_field.by_parameters(observed.depth_pixels_px, observed.raw_m)
         out["depth field"] = ray[..., None] * shapes[:, None]
     return out
+
+
+def _pattern_covariance(rig: Rig, name: str, observed: Observed) -> FloatArray:
+    """(n, 3, 3), m^2, of a camera's places, from the fine pattern of its depth, which is no parameter of the rig."""
+    own = rig.cameras[name]
+    if not isinstance(own.depth_field, PolynomialField):
+        return np.zeros((len(observed.z_m), 3, 3))
+    ray = own.intrinsics.rays(observed.pixels_px) @ own.T_world_color[:3, :3].T
+    variance = own.depth_field.pattern_variance_m2(observed.raw_m)
+    return np.asarray(variance[:, None, None] * ray[..., :, None] * ray[..., None, :])
 
 
 def _mean_length(S: FloatArray) -> FloatArray:

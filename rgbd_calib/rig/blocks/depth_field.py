@@ -55,7 +55,11 @@ class DepthField(DepthErrorBlock):
             for low, high in BANDS:
                 at = np.flatnonzero((degree >= low) & (degree <= high))
                 name = f"{own.cameras[c]}: depth field {low} to {high}"
-                components.append(Component(name, c * n + at, np.diag(degree[at] ** 2.0), own.params.field_m, DOF, MOST * own.params.field_m))
+                components.append(
+                    Component(
+                        name, c * n + at, np.diag(degree[at] ** 2.0), own.params.field_m, DOF, MOST * own.params.field_m
+                    )
+                )
         assumed = np.zeros(self.size, bool)
         return BlockPrior(mean.ravel(), np.diag(information.ravel()), free.ravel(), assumed, tuple(components))
 
