@@ -8,7 +8,7 @@ import pytest
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
-from rgbd_calib.geometry.depth_error import DepthBias, GridField, PolynomialField, n_terms, terms
+from rgbd_calib.geometry.depth_error import CellPattern, DepthBias, GridField, PolynomialField, n_terms, terms
 from rgbd_calib.geometry.depth_sensor import DepthCamera, DepthSensor
 from rgbd_calib.io.rig import read_rig, write_rig
 from rgbd_calib.types import Rig, RigCamera
@@ -19,9 +19,10 @@ T_COLOR_DEPTH = se3.retract(np.eye(4), np.array([0.01, -0.005, 0.002, -0.052, 0.
 BIAS = DepthBias((0.004, -0.006, 0.002), 0.5, 4.0, 0.001)
 
 
-def field(size=(512, 424), powers=(0, 2)):
-    coefficients = np.random.default_rng(1).normal(0, 0.001, (len(powers), n_terms(4) - 1))
-    return PolynomialField(*size, 4, powers, coefficients, 0.5, 4.0)
+def field(size=(512, 424)):
+    rng = np.random.default_rng(1)
+    pattern = CellPattern((0, 2), rng.normal(0, 0.0005, (2, 6, 8)), np.diag([1e-8, 1e-9]))
+    return PolynomialField(*size, 4, (1.8, 0.1), rng.normal(0, 0.001, n_terms(4) - 1), 0.5, 4.0, None, pattern)
 
 
 def grid_field():
@@ -74,10 +75,13 @@ def test_a_rig_file_keeps_the_depth_sensor(tmp_path, own):
     pixels, z_m = rng.uniform([5, 5], [506, 418], (50, 2)), rng.uniform(0.6, 3.5, 50)
     assert np.abs(again.depth_sensor.points(pixels, z_m) - camera.depth_sensor.points(pixels, z_m)).max() < 1e-12
     assert np.array_equal(again.depth_camera.covariance, np.eye(10))
+    if isinstance(own, PolynomialField):
+        assert np.allclose(again.depth_field.pattern_variance_m2(z_m), own.pattern_variance_m2(z_m), rtol=1e-12)
+        assert own.pattern_variance_m2(np.array([2.0])) == pytest.approx(1e-8 + 16 * 1e-9)
 
 
 def test_a_field_of_the_wrong_length_is_refused(tmp_path):
-    wrong = replace(field(), coefficients=np.zeros((1, 3)))
+    wrong = replace(field(), coefficients=np.zeros(3))
     write_rig(tmp_path / "rig.yaml", Rig("C1", {"C1": RigCamera(COLOR, np.eye(4), np.zeros((6, 6)), None, {}, wrong)}))
-    with pytest.raises(ConfigError, match=r"depth_field.*2 x 14"):
+    with pytest.raises(ConfigError, match=r"depth_field.*3 coefficients, 14 needed"):
         read_rig(tmp_path / "rig.yaml")

@@ -42,7 +42,7 @@ def test_cameras_with_other_pixels_see_the_same_world(scale, offset_px, scenes):
     before, after = observe(rig, "C2", points), observe(now, "C2", points)
     np.testing.assert_allclose(after.pixels_px, scale * before.pixels_px + offset, atol=1e-8)
     np.testing.assert_allclose(after.raw_m, before.raw_m, atol=1e-9)
-    np.testing.assert_allclose(place(now, "C2", after.pixels_px, after.raw_m), points, atol=1e-9)
+    np.testing.assert_allclose(place(now, "C2", after), points, atol=1e-9)
     colour = [r.cameras["C2"].intrinsics.project(se3.transform(se3.inverse(r.cameras["C2"].T_world_color), points)) for r in (rig, now)]  # fmt: skip
     np.testing.assert_allclose(colour[1], scale * colour[0] + offset, atol=1e-8)
 

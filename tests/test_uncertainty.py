@@ -71,9 +71,7 @@ def test_derivatives_are_those_of_differences():
         for k in range(WIDTH):
             step = np.zeros(WIDTH)
             step[k] = 1e-5 * max(SD[k] / 1e-3, 1)
-            high, low = (
-                uncertainty.place(moved(rig, name, s * step), name, seen.pixels_px[ok], seen.raw_m[ok]) for s in (1, -1)
-            )
+            high, low = (uncertainty.place(moved(rig, name, s * step), name, seen.only(ok)) for s in (1, -1))
             # central differences: rounding 1e-15 / 1e-5, and the third derivative times 1e-10 / 6, of order 1e1
             np.testing.assert_allclose(J[..., k], (high - low) / (2 * step[k]), atol=1e-8, rtol=1e-6)
 
@@ -90,7 +88,7 @@ def test_drawn_rigs_differ_as_expected(seed):
     distance = np.empty((draws, len(found.points_m)))
     for row, step in zip(distance, steps, strict=True):
         drawn = moved(moved(rig, "A", step[:WIDTH]), "B", step[WIDTH:])
-        a, b = (uncertainty.place(drawn, n, seen[n].pixels_px, seen[n].raw_m) for n in ("A", "B"))
+        a, b = (uncertainty.place(drawn, n, seen[n]) for n in ("A", "B"))
         row[:] = np.linalg.norm(a - b, axis=1)
     both = np.isfinite(found.pairs["A", "B"])
     assert both.sum() > 20

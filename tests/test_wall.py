@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from rgbd_calib.cameras.wall import wall_depth
+from rgbd_calib.cameras.wall import depth_at, wall_cells
 
 W, H, F = 320, 240, 280.0
 CENTRE = (158.3, 121.9)
 V, U = np.mgrid[0:H, 0:W]
+
+
+def wall_depth(depth_m: np.ndarray, centre_px: tuple[float, float]) -> tuple[float, float]:
+    return depth_at(wall_cells(depth_m), centre_px)
 
 
 def wall(z_m: float, tilt_u: float = 0.0, tilt_v: float = 0.0) -> np.ndarray:

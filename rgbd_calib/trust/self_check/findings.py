@@ -17,7 +17,7 @@ class SelfCheckParams:
     """Chance of a false alarm in a recording whose errors are as the model says, shared evenly among all tests of the
     recording (Bonferroni): one in a thousand calibrations."""
     caution_mm: float = 1.0
-    """Three such errors make the 3 mm up to which a rig is called good; less than what is stated is no news either."""
+    """Three such errors make the 3 mm up to which a rig is called good; much less than what is stated is no news either."""
     distrust_mm: float = 3.0
     """The noise of one depth pixel at 1.4 m (1.6e-3 z^2): beyond it an error shows in every fused cloud."""
     splits: int = 8

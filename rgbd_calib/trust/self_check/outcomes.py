@@ -52,6 +52,10 @@ def outcomes_of(eq: Equations, problem: Problem, held: tuple[Block, ...], params
     return _retested(eq, outcomes)
 
 
+SMALL_SHARE = 1 / 3
+"""Of the stated error: a smaller one beside it adds a twentieth, and is no news."""
+
+
 def _retested(eq: Equations, outcomes: list[Outcome]) -> list[Outcome]:
     """Those that would look suspicious if views erred in their corners alone, once more and exactly."""
     best: dict[tuple[str, tuple[str, ...]], Outcome] = {}
@@ -72,7 +76,7 @@ def findings_of(
     One error shows in many tests: where one camera moved, others seem to, or to have another lens. So what fits best is
     said, taken into the model, and the others are tested again, until nothing fails that matters (forward selection).
     """
-    limit, least_m = params.significance / max(len(tests), 1), 1e-3 * max(params.caution_mm, stated_mm)
+    limit, least_m = params.significance / max(len(tests), 1), 1e-3 * max(params.caution_mm, SMALL_SHARE * stated_mm)
     told: list[Outcome] = []
     left = tests
     while len(told) < MAX_TOLD:
