@@ -38,6 +38,7 @@ COMMANDS = (
     "correct",
     "export",
     "board",
+    "board-shape",
     "schema",
     "cache",
 )

@@ -1,4 +1,4 @@
-"""A board from a file: dataset.yaml and whatever else has a `board`, and Kalibr's target.yaml.
+"""A board from a file: dataset.yaml and whatever else has a `board`, a rig with the shape that it found, and Kalibr's target.yaml.
 
 https://github.com/ethz-asl/kalibr/wiki/calibration-targets: `tagSize` is the side of a tag, `tagSpacing` the gap to the next
 over that side; the columns and rows of a checkerboard are inner corners.
@@ -14,6 +14,7 @@ from pydantic import BaseModel
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.files import load_yaml
+from rgbd_calib.io.rig import board_in
 from rgbd_calib.io.schema_base import parse
 from rgbd_calib.io.schema_parts import BoardModel
 from rgbd_calib.io.tables import short
@@ -35,7 +36,10 @@ def read_board(path: Path) -> Board:
     data = load_yaml(path)
     if "target_type" in data:
         data = {"board": _of_kalibr(path, data)}
-    elif "board" not in data:
+    quality = data.get("quality")
+    if isinstance(quality, dict) and (board := board_in(quality, path)) is not None:
+        return board
+    if "target_type" not in data and "board" not in data:
         raise ConfigError(
             f"{path}: a board was expected, {', '.join(map(short, list(data)[:6])) or 'nothing'} was found. Give a file with "
             "`board: {cols: ..., rows: ..., square: ...}`, or Kalibr's target.yaml"

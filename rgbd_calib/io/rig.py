@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,17 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import dump_yaml, load_yaml, write_text
 from rgbd_calib.io.schema_base import parse
-from rgbd_calib.io.schema_parts import DepthBiasModel, DepthCameraModel, IntrinsicsModel, field_data
+from rgbd_calib.io.schema_parts import (
+    BoardModel,
+    BoardShapeModel,
+    DepthBiasModel,
+    DepthCameraModel,
+    IntrinsicsModel,
+    field_data,
+)
 from rgbd_calib.io.schemas import RigModel
 from rgbd_calib.io.tables import short
-from rgbd_calib.types import DepthBias, Rig, RigCamera
+from rgbd_calib.types import Board, DepthBias, Rig, RigCamera
 
 _KNOWN = (
     "intrinsics",
@@ -161,3 +169,29 @@ def camera_entry(camera: RigCamera) -> dict[str, Any]:
 def _write_part(path: Path, cameras: dict[str, Any], quality: Mapping[str, Any], provenance: Mapping[str, Any]) -> None:
     head = {"format": "rgbd-calib/rig", "version": 1, "cameras": cameras}
     write_text(path, dump_yaml(head | {"quality": dict(quality), "provenance": dict(provenance)}))
+
+
+def board_data(board: Board) -> dict[str, Any]:
+    """A board as the `quality` of a rig holds it; its shape as solved."""
+    out = asdict(replace(board, shape=None))
+    del out["shape"]
+    return (
+        out if board.shape is None else {**out, "shape": BoardShapeModel.of(board.shape).model_dump(exclude_none=True)}
+    )
+
+
+def board_in(quality: Mapping[str, Any], path: Path = Path("quality of the rig")) -> Board | None:
+    """What :func:`board_data` wrote, in the file `path`; None where there is none, as in a simulation's truth.
+
+    Raises
+    ------
+    ConfigError
+        It describes no board.
+    """
+    own = quality.get("board")
+    if not isinstance(own, Mapping) or "cols" not in own:
+        return None
+    data = {
+        name.removesuffix("_m"): value for name, value in own.items() if value or name not in ("marker_m", "dictionary")
+    }
+    return parse(BoardModel, data, path).value()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import plain
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.residuals import Residuals
+from rgbd_calib.io.rig import board_data
 from rgbd_calib.pipeline import details, frame_selection
 from rgbd_calib.pipeline.config import Config, as_plain
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
@@ -165,7 +166,8 @@ def calibrate(
         stated_mm,
         config.self_check,
     )
-    quality |= {"board": asdict(replace(board, shape=None)), "depth_bias_samples": views.depth.samples}
+    found = replace(board, shape=solved.board_shape()) if isinstance(solution, Solution) else board
+    quality |= {"board": board_data(found), "depth_bias_samples": views.depth.samples}
     provenance = {
         **provenance_of(config),
         "recording": str(recording.path),

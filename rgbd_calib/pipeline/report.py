@@ -17,14 +17,14 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import write_text
 from rgbd_calib.io.recording import Recording, open_recording
 from rgbd_calib.io.residuals import Residuals, read_residuals_of, residuals_path
-from rgbd_calib.io.rig import read_boards, read_depth_bias_samples, read_rig
+from rgbd_calib.io.rig import board_in, read_boards, read_depth_bias_samples, read_rig
 from rgbd_calib.io.tables import short
 from rgbd_calib.io.text import valid
 from rgbd_calib.pipeline import fuse
 from rgbd_calib.pipeline.rig_inputs import common_cameras
 from rgbd_calib.report import splat
 from rgbd_calib.report.page import Contents, Picture, render
-from rgbd_calib.types import Board, Rig, RigCamera
+from rgbd_calib.types import Rig, RigCamera
 
 VIEWS = {"oblique": "from the side", "top": "from above"}
 EDGE_ON = "the board alone, edge on"
@@ -175,7 +175,8 @@ def _part(clouds: Clouds, rig: Rig, view: str, focus_m: FloatArray) -> Picture:
 
 def _edge_on(clouds: Clouds, rig: Rig, T_world_board: FloatArray) -> Picture:
     """The board of this frame, looked at along its rows of squares: cameras that agree make one line."""
-    board = Board(**rig.quality["board"])
+    board = board_in(rig.quality)
+    assert board is not None
     size_m = np.array([board.cols - 1, board.rows - 1]) * board.square_m
     T_board_world = se3.inverse(T_world_board)
 

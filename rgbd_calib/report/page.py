@@ -14,6 +14,7 @@ from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.plain import to_json, to_json_in_html
 from rgbd_calib.io.residuals import Residuals
+from rgbd_calib.io.rig import board_in
 from rgbd_calib.report import figures, numbers
 from rgbd_calib.report.figures import Figure, css_color
 from rgbd_calib.report.scene import scene
@@ -53,7 +54,7 @@ def render(contents: Contents) -> str:
     from plotly.offline import get_plotlyjs
 
     rig, quality = contents.rig, contents.rig.quality
-    board = Board(**quality["board"]) if "board" in quality else None
+    board = board_in(quality)
     left = contents.residuals
     own_views = "own views" in str(rig.provenance.get("intrinsics", ""))
     coverage = None

@@ -13,12 +13,12 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.depth_error import PolynomialField
 from rgbd_calib.geometry.linear import Covariance, IntArray
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.rig.blocks import DepthBiasBlock, depth_field, registration
+from rgbd_calib.rig.blocks import BoardShapeBlock, DepthBiasBlock, depth_field, registration
 from rgbd_calib.rig.common_errors import CommonErrors
 from rgbd_calib.rig.observability import Observability
 from rgbd_calib.rig.problem import Problem, State
 from rgbd_calib.rig.setup import CameraPrior
-from rgbd_calib.types import DepthBias, DepthCamera, DepthField, PlacedView
+from rgbd_calib.types import BoardShape, DepthBias, DepthCamera, DepthField, PlacedView
 
 
 @dataclass(frozen=True)
@@ -154,6 +154,22 @@ class Solution:
         obs = self.problem.obs
         shared = {int(f) for f, s in zip(obs.frame, obs.shared, strict=True) if s}
         return {frame: self.state.boards.T_parent_board[f] for f, frame in enumerate(self.course.frames) if f in shared}
+
+    def board_shape(self) -> BoardShape:
+        """Where the board's corners were found to be, with standard deviations."""
+        problem, M = self.problem, self.problem.setup.board.n_corners
+        corners_m = problem.board_corners_m(self.state)
+        variance = np.zeros((2, M, 3))
+        blocks = [b for b in problem.blocks if isinstance(b, BoardShapeBlock)]
+        at = np.concatenate([problem.index(b.name) for b in blocks])
+        C = self.covariance[np.ix_(at, at)]
+        for axis in range(3):
+            J = np.concatenate([b.by_parameters()[:, :, axis].reshape(2 * M, -1) for b in blocks], axis=1)
+            variance[:, :, axis] = np.einsum("kp,pq,kq->k", J, C, J).reshape(2, M)
+        sd_m = np.sqrt(np.maximum(variance, 0.0))
+        if problem.setup.board.two_sided:
+            return BoardShape(corners_m[0], corners_m[1], sd_m[0], sd_m[1])
+        return BoardShape(corners_m[0], None, sd_m[0])
 
     def camera_statistics(self, camera: str) -> dict[str, Any]:
         """Plain numbers of one camera, for the rig file."""

@@ -59,6 +59,13 @@ class CornerOffsets(PointBlock, BoardShapeBlock):
     def table(self) -> FloatArray:
         raise NotImplementedError  # a corner depends on its own offset alone
 
+    def by_parameters(self) -> FloatArray:
+        M = self.setup.board.n_corners
+        out = np.zeros((2, M, 3, self.size))
+        face, corner, axis = np.indices((self._faces, M, 2)).reshape(3, -1)
+        out[face, corner, axis, np.arange(self.size)] = 1.0
+        return out
+
     def shift_m(self, value: FloatArray) -> FloatArray:
         out = np.zeros((2, self.setup.board.n_corners, 3))
         out[: self._faces, :, :2] = value.reshape(self._faces, -1, 2)

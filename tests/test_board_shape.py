@@ -1,0 +1,79 @@
+"""The print as the bundle finds it: against the truth, in the rig file, and given back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import synthetic_views as sv
+from test_bundle import NOISE, draw, priors_of
+
+from rgbd_calib.geometry import align, se3
+from rgbd_calib.io.board_files import read_board
+from rgbd_calib.io.rig import board_data, board_in, write_rig
+from rgbd_calib.rig.bundle import bundle
+from rgbd_calib.types import Board, BoardShape, Rig, RigCamera
+
+
+def misprinted(board: Board, rng: np.random.Generator) -> Board:
+    """0.4 % too wide, every corner 0.2 mm off, the plate bent by a millimetre."""
+    flat = board.corners_m()
+    middle = flat.mean(axis=0)
+    x = (flat - middle) / np.abs(flat - middle).max(axis=0).clip(1e-9)
+    moved = middle + (flat - middle) * [1.002, 0.998, 1.0]
+    moved[:, :2] += rng.normal(0, 2e-4, (len(flat), 2))
+    moved[:, 2] += 1e-3 * x[:, 0] ** 2
+    return replace(board, shape=BoardShape(moved))
+
+
+def test_a_misprinted_bent_board_is_found_as_it_is():
+    rng = np.random.default_rng(3)
+    rig = sv.arc(3, biased=True)
+    true = misprinted(sv.BOARD, rng)
+    views = draw(rig, true, 24, rng)
+    T = {name: own.T_world_color for name, own in rig.cameras.items()}
+    solution = bundle(views, sv.BOARD, priors_of(rig, rng), T, "C1")
+    found, meant = solution.board_shape(), true.corners_m()
+
+    def off_m(corners_m: np.ndarray) -> np.ndarray:
+        return se3.transform(align.rigid(meant, corners_m), corners_m) - meant
+
+    sigma_m = NOISE.sigma_2d_px / 540 * 2.0 / np.sqrt(24)  # of a corner that is seen from 2 m in 24 views
+    assert np.sqrt(np.mean(off_m(sv.BOARD.corners_m())[:, :2] ** 2)) > 3e-4  # as stated
+    assert np.sqrt(np.mean(off_m(found.front_m)[:, :2] ** 2)) < 2 * sigma_m
+    assert found.front_sd_m is not None and found.back_m is None
+    assert np.sqrt(np.mean((off_m(found.front_m) / found.front_sd_m)[:, :2] ** 2)) < 2
+
+
+@pytest.fixture
+def shaped(tmp_path):
+    """A rig file with the shape that was found, and the board."""
+    rng = np.random.default_rng(1)
+    front = sv.TWO_SIDED.corners_m() + rng.normal(0, 1e-4, (sv.TWO_SIDED.n_corners, 3))
+    shape = BoardShape(front, front + [0, 0, 0.006], np.full_like(front, 2e-5), np.full_like(front, 4e-5))
+    board = replace(sv.TWO_SIDED, shape=shape)
+    rig = Rig("C1", {"C1": RigCamera(sv.arc(2).cameras["C1"].intrinsics, np.eye(4), np.zeros((6, 6)))})
+    write_rig(tmp_path / "rig.yaml", replace(rig, quality={"board": board_data(board)}))
+    return tmp_path / "rig.yaml", board
+
+
+def test_the_shape_is_given_back(run, shaped, tmp_path):
+    path, board = shaped
+    out = run("board-shape", path, "-o", tmp_path / "board.yaml")
+    assert out.status == 0 and "front: corners known to 0.020 mm" in out.stderr and "back" in out.stderr
+    for file in (path, tmp_path / "board.yaml"):
+        again = read_board(file)
+        assert np.array_equal(again.corners_m(), board.corners_m())
+        assert np.array_equal(again.corners_m(back=True), board.corners_m(back=True))
+        assert (again.cols, again.rows, again.square_m, again.thickness_m) == (9, 6, 0.06, board.thickness_m)
+    assert run("board-shape", path).stdout == (tmp_path / "board.yaml").read_text()
+
+
+def test_a_rig_without_a_shape_says_which_method_finds_it(run, shaped, tmp_path):
+    _, board = shaped
+    flat = Rig("C1", {"C1": RigCamera(sv.arc(2).cameras["C1"].intrinsics, np.eye(4), np.zeros((6, 6)))})
+    write_rig(tmp_path / "flat.yaml", replace(flat, quality={"board": board_data(replace(board, shape=None))}))
+    out = run("board-shape", tmp_path / "flat.yaml")
+    assert out.status == 2 and "--method bundle" in out.stderr
+    assert board_in({}) is None
