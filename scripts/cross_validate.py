@@ -14,8 +14,9 @@ from rgbd_calib.cli.options import progress
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.pipeline.calibrate import calibrate
 from rgbd_calib.pipeline.config import load_config
-from rgbd_calib.pipeline.detection import Detections, board_of, detect
+from rgbd_calib.pipeline.detection import Detections, detect
 from rgbd_calib.pipeline.evaluate import against_views, place_views
+from rgbd_calib.pipeline.rig_inputs import board_for
 
 
 @click.command()
@@ -24,7 +25,7 @@ from rgbd_calib.pipeline.evaluate import against_views, place_views
 @click.option("--folds", default=5, show_default=True)
 def main(path: Path, method: str, folds: int) -> None:
     recording = open_recording(path)
-    config, board = load_config(None, method=method), board_of(recording)
+    config = load_config(None, method=method)
     found = detect(recording, config.detect, progress=progress)
     frames = sorted({view.frame for view in found.views})
     distances, transfers = [], []
@@ -33,6 +34,7 @@ def main(path: Path, method: str, folds: int) -> None:
         train = Detections(tuple(view for view in found.views if view.frame not in held), ())
         rig = calibrate(recording, config, detections=train).rig
         test = [view for view in found.views if view.frame in held]
+        board = board_for(recording, rig)
         evaluation = against_views(rig, place_views(rig, test, board, list(recording.cameras), config), board)
         distances += [pair.distance_m for pair in evaluation.pairs]
         transfers += [pair.transfer_px for pair in evaluation.pairs]

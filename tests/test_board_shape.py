@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import synthetic_views as sv
@@ -11,9 +12,14 @@ from test_bundle import NOISE, draw, priors_of
 
 from rgbd_calib.geometry import align, se3
 from rgbd_calib.io.board_files import read_board
-from rgbd_calib.io.rig import board_data, board_in, write_rig
+from rgbd_calib.io.dataset import CameraInfo, write_dataset
+from rgbd_calib.io.recording import open_recording
+from rgbd_calib.io.rig import board_data, board_in, read_rig, write_rig
+from rgbd_calib.pipeline.rig_inputs import board_for
 from rgbd_calib.rig.bundle import bundle
+from rgbd_calib.simulation.views import true_views
 from rgbd_calib.types import Board, BoardShape, Rig, RigCamera
+from rgbd_calib.views.board_pose import repose
 
 
 def misprinted(board: Board, rng: np.random.Generator) -> Board:
@@ -77,3 +83,34 @@ def test_a_rig_without_a_shape_says_which_method_finds_it(run, shaped, tmp_path)
     out = run("board-shape", tmp_path / "flat.yaml")
     assert out.status == 2 and "--method bundle" in out.stderr
     assert board_in({}) is None
+
+
+def test_a_view_is_posed_on_the_print_as_it_is():
+    """Front and back, exactly, where a flat print leaves a tenth of a degree."""
+    rng = np.random.default_rng(2)
+    flat = sv.TWO_SIDED
+    front = misprinted(flat, rng).corners_m()
+    behind = front + [2e-4, -1e-4, flat.thickness_m] + rng.normal(0, 1e-4, front.shape)
+    true = replace(flat, shape=BoardShape(front, behind))
+    rig = sv.ring(3)
+    boards = sv.board_poses(rig, flat, 6, rng)
+    placed = sv.placed_truly(rig, boards, true_views(rig, boards, true, sv.EXACT, rng), true)
+    assert {p.back for p in placed} == {False, True}
+    for p in placed:
+        off = replace(p, T_color_board=se3.retract(p.T_color_board, rng.normal(0, 2e-3, 6)))
+        again = repose(off, true, rig.cameras[p.view.camera].intrinsics)
+        assert np.abs(se3.difference(p.T_color_board, again.T_color_board)).max() < 1e-9
+
+
+def test_the_shape_is_taken_for_the_same_board_only(shaped, tmp_path):
+    path, board = shaped
+    rig = read_rig(path)
+    lens = rig.cameras["C1"].intrinsics
+    info = {"C1": CameraInfo(lens.width, lens.height)}
+    for stated, known in ((replace(board, shape=None), True), (replace(board, shape=None, square_m=0.05), False)):
+        (tmp_path / "dataset.yaml").unlink(missing_ok=True)
+        write_dataset(tmp_path, info, stated)
+        (tmp_path / "C1" / "color").mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(tmp_path / "C1" / "color" / "0.png"), np.zeros((lens.height, lens.width, 3), np.uint8))
+        found = board_for(open_recording(tmp_path), rig)
+        assert (found.shape is not None) == known and found.square_m == stated.square_m

@@ -43,7 +43,7 @@ from rgbd_calib.trust.self_check import calibration as self_check
 from rgbd_calib.trust.uncertainty import JointCovariance
 from rgbd_calib.types import Board, BoardView, Correspondences, PlacedView, Rig, RigCamera
 from rgbd_calib.views.association import AssociationResult, associate
-from rgbd_calib.views.board_pose import pose_view
+from rgbd_calib.views.board_pose import pose_view, repose
 from rgbd_calib.views.correspondence import correspond
 from rgbd_calib.views.depth_scale import check_depth_scale
 from rgbd_calib.views.plane_filter import PlaneFilterResult, filter_planes
@@ -142,9 +142,10 @@ def calibrate(
             quality = {"initialization": steps_of(start), **refinement_quality(refined)}
             residuals = details.residuals_of_refinement(refined, data, views.association.views, board)
             joint = details.joint_of_refinement(refined)
-    placed = pose_by_rig(rig, views.association.views, board, config)
+    found = replace(board, shape=solution.board_shape()) if isinstance(solution, Solution) else board
+    placed = pose_by_rig(rig, views.association.views, found, config)
     boards = boards or {p.view.frame: rig.cameras[p.view.camera].T_world_color @ p.T_color_board for p in placed}
-    evaluation = against_views(rig, placed, board) if _pairs_with_depth(placed) else None
+    evaluation = against_views(rig, placed, found) if _pairs_with_depth(placed) else None
     residuals = residuals or details.residuals_of_rig(rig, placed, boards, board)
     quality |= common_quality(recording, views, evaluation)
     quality |= details.starting_rig(
@@ -166,7 +167,6 @@ def calibrate(
         stated_mm,
         config.self_check,
     )
-    found = replace(board, shape=solved.board_shape()) if isinstance(solution, Solution) else board
     quality |= {"board": board_data(found), "depth_bias_samples": views.depth.samples}
     provenance = {
         **provenance_of(config),
@@ -252,7 +252,8 @@ def pose_by_rig(rig: Rig, views: Sequence[PlacedView], board: Board, config: Con
     for placed in views:
         own = rig.cameras[placed.view.camera]
         posed = pose_view(placed.view, board, own.intrinsics, own.depth_bias, config.board_pose)
-        out.append(replace(placed, T_color_board=posed.T_color_face @ board.T_face_board(placed.back, placed.turned)))
+        flat = replace(placed, T_color_board=posed.T_color_face @ board.T_face_board(placed.back, placed.turned))
+        out.append(flat if board.shape is None else repose(flat, board, own.intrinsics))
     return tuple(out)
 
 

@@ -21,13 +21,13 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_boards, read_rig
 from rgbd_calib.pipeline.config import Config
-from rgbd_calib.pipeline.detection import Progress, board_of, detections_from
-from rgbd_calib.pipeline.rig_inputs import common_cameras
+from rgbd_calib.pipeline.detection import Progress, detections_from
+from rgbd_calib.pipeline.rig_inputs import board_for, common_cameras
 from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.trust import uncertainty
 from rgbd_calib.types import Board, BoardView, PlacedView, Rig
 from rgbd_calib.views.association import label_views
-from rgbd_calib.views.board_pose import pose_view
+from rgbd_calib.views.board_pose import pose_view, repose
 from rgbd_calib.views.corner_points import corner_points
 from rgbd_calib.views.plane_filter import filter_planes
 
@@ -171,7 +171,7 @@ def evaluate_recording(
 ) -> dict[str, Any]:
     """Summary of a rig file against a recording of the board."""
     rig, recording = read_rig(rig_path), open_recording(path)
-    board, shared = board_of(recording), common_cameras(recording, rig)
+    board, shared = board_for(recording, rig), common_cameras(recording, rig)
     found = detections_from(recording, corners, config.detect, workers, progress)
     return against_views(rig, place_views(rig, found.views, board, shared, config), board).summary()
 
@@ -186,7 +186,8 @@ def place_views(
     filtered = filter_planes(mine, lenses, biases, config.plane_filter, config.seed)
     posed = [pose_view(v, board, lenses[v.camera], biases.get(v.camera), config.board_pose) for v in filtered.views]
     T_world_color = {name: rig.cameras[name].T_world_color for name in cameras}
-    return label_views(posed, board, T_world_color, config.association)[0]
+    placed = label_views(posed, board, T_world_color, config.association)[0]
+    return tuple(placed) if board.shape is None else tuple(repose(p, board, lenses[p.view.camera]) for p in placed)
 
 
 def _numbers(distance_m: FloatArray, transfer_px: FloatArray) -> dict[str, float]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from difflib import get_close_matches
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.recording import Recording
-from rgbd_calib.types import Rig
+from rgbd_calib.io.rig import board_in
+from rgbd_calib.pipeline.detection import board_of
+from rgbd_calib.types import Board, Rig
 
 
 def common_cameras(recording: Recording, rig: Rig) -> tuple[str, ...]:
@@ -33,6 +36,13 @@ def common_cameras(recording: Recording, rig: Rig) -> tuple[str, ...]:
     if recording.extra.get("corrected"):
         _refuse_second_correction(recording, rig, shared)
     return shared
+
+
+def board_for(recording: Recording, rig: Rig) -> Board:
+    """The recording's board, with the shape that the rig found of the same board."""
+    board, known = board_of(recording), board_in(rig.quality)
+    same = known is not None and replace(known, shape=None) == board
+    return known if known is not None and same else board
 
 
 def left_out(recording: Recording, rig: Rig) -> str:

@@ -21,10 +21,10 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import plain
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.config import Config
-from rgbd_calib.pipeline.detection import Detections, Progress, board_of, silent
+from rgbd_calib.pipeline.detection import Detections, Progress, silent
 from rgbd_calib.pipeline.evaluate import against_views, place_views
 from rgbd_calib.pipeline.prepare import IntrinsicsSource, resolve_depth, resolve_intrinsics
-from rgbd_calib.pipeline.rig_inputs import common_cameras
+from rgbd_calib.pipeline.rig_inputs import board_for, common_cameras
 from rgbd_calib.pipeline.verify import verify_views
 from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.rig.bundle import bundle
@@ -73,7 +73,7 @@ def update_camera(
     CalibrationError
         No common views, or the others no longer fit each other.
     """
-    board = board_of(recording)
+    board = board_for(recording, rig)
     others = _others(rig, name, recording)
     source, bias, own = _own(rig, name, recording, config, detections, intrinsics, depth_bias, workers, progress)
     known = {c: rig.cameras[c] for c in others}

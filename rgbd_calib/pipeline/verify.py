@@ -13,8 +13,7 @@ from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.config import Config
-from rgbd_calib.pipeline.detection import board_of
-from rgbd_calib.pipeline.rig_inputs import common_cameras
+from rgbd_calib.pipeline.rig_inputs import board_for, common_cameras
 from rgbd_calib.trust.displacement import (
     CameraPoses,
     FittedView,
@@ -59,7 +58,7 @@ def verify(
         No two cameras see the board in the same frame.
     """
     cameras = common_cameras(recording, rig)
-    return verify_views(rig, views, board_of(recording), cameras, config, params)
+    return verify_views(rig, views, board_for(recording, rig), cameras, config, params)
 
 
 @one_blas_thread

@@ -16,10 +16,10 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.calibrate import Calibration
 from rgbd_calib.pipeline.config import Config
-from rgbd_calib.pipeline.detection import Detections, board_of
+from rgbd_calib.pipeline.detection import Detections
 from rgbd_calib.pipeline.evaluate import place_views
 from rgbd_calib.pipeline.fuse import clouds_of
-from rgbd_calib.pipeline.rig_inputs import common_cameras
+from rgbd_calib.pipeline.rig_inputs import board_for, common_cameras
 from rgbd_calib.pipeline.verify import fit_views
 from rgbd_calib.rig.floor import find_floor, world_on_floor
 from rgbd_calib.trust.displacement import board_poses
@@ -80,7 +80,7 @@ def rig_in_world(
     """
     boards: dict[str, FloatArray] = {}
     if detections is not None:
-        board = board_of(recording)
+        board = board_for(recording, rig)
         placed = place_views(rig, detections.views, board, common_cameras(recording, rig), config)
         boards = board_poses(
             {name: own.T_world_color for name, own in rig.cameras.items()}, fit_views(rig, placed, board)

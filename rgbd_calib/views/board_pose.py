@@ -6,15 +6,15 @@ the other). Where their errors do not decide, the slope of the measured depth do
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError
-from rgbd_calib.geometry import resection, se3
+from rgbd_calib.geometry import camera, resection, se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.types import Board, BoardView, DepthBias, PosedView
+from rgbd_calib.types import Board, BoardView, DepthBias, PlacedView, PosedView
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,10 @@ class BoardPoseParams:
     min_chi2_difference: float = 30.0
     """Pixels decide between the two poses where their sums of squares differ by more, in units of the better one's
     variance: 30 is 5.5 standard errors."""
+
+
+SHAPE_STEPS = 4
+"""From the pose of a flat print to that of a real one: a fraction of a degree."""
 
 
 def pose_view(
@@ -51,6 +55,21 @@ def pose_view(
     T = poses[best]
     residual = intrinsics.project(se3.transform(T, corners_m)) - view.corners_px
     return PosedView(view, T, float(np.sqrt(np.mean(residual**2))))
+
+
+def repose(placed: PlacedView, board: Board, intrinsics: Intrinsics) -> PlacedView:
+    """The same view, its board posed by its pixels with the corners where the board's shape has them, by Gauss and Newton.
+
+    A homography takes a flat print; which sheet's shape it is, is known of a placed view only.
+    """
+    corners_m, T = placed.points_m(board), placed.T_color_board
+    for _ in range(SHAPE_STEPS):
+        p = se3.transform(T, corners_m)
+        pixels, by_point, _ = camera.project_jacobian(intrinsics.vector, p, intrinsics.model)
+        by_motion = np.concatenate([-so3.hat(p), np.broadcast_to(np.eye(3), (len(p), 3, 3))], axis=-1)
+        J, left = (by_point @ by_motion).reshape(-1, 6), (placed.view.corners_px - pixels).ravel()
+        T = se3.retract(T, np.linalg.lstsq(J, left, rcond=None)[0])
+    return replace(placed, T_color_board=T) if np.isfinite(T).all() else placed
 
 
 def _depth_misfit(
