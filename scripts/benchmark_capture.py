@@ -35,6 +35,7 @@ def measure(folder: Path, cameras: int, seconds: float) -> None:
 
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.sensors.discover import find_cameras
+    from rgbd_calib.sensors.driver import Drivers
     from rgbd_calib.sensors.openni2 import load_runtime
     from rgbd_calib.sensors.rig import Rig
 
@@ -42,7 +43,7 @@ def measure(folder: Path, cameras: int, seconds: float) -> None:
     settings = {"DEVICES": cameras, "DATA": folder / "raw", "STAMP": 1, "COLOR_LAG_US": 8000, "JITTER_US": 3000}
     settings |= {"PHASE_US": "0,9000,17000,25000", "DRIFT_PPM": "0,40,-60,100"}
     os.environ.update({f"VXTION_{key}": str(value) for key, value in settings.items()})
-    runtime = load_runtime(build_redist(folder / "redist"))
+    runtime = Drivers([load_runtime(build_redist(folder / "redist"))])
     found = find_cameras(runtime)
     with Rig(runtime, found.assign({}), lambda camera, text: print(camera, text), settle_s=2.0) as rig:
         checks = [_PairCheck(rig, camera) for camera in rig.cameras]

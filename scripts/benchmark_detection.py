@@ -25,7 +25,7 @@ from detection_images import BOARDS, LOOKS, room_pictures, with_board, without_b
 
 from rgbd_calib.io.files import load_yaml
 from rgbd_calib.io.images import as_bgr, read_image
-from rgbd_calib.io.schemas import BoardModel
+from rgbd_calib.io.schema_parts import BoardModel
 from rgbd_calib.types import Board
 from rgbd_calib.views.detect import DetectParams, find_corners, subpixel
 from rgbd_calib.views.detect.checkerboard import find_checkerboard
