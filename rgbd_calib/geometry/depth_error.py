@@ -128,7 +128,7 @@ class PolynomialField:
     def error_m(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:
         """field (...), metres, at pixels (..., 2) of the depth image and reported depths (...)."""
         z = np.clip(z_m, self.min_m, self.max_m)
-        out = np.asarray(self._grown(z) * (self._shapes(pixels_px) @ self.coefficients))
+        out = np.asarray(self.growth_at(z) * (self._shapes(pixels_px) @ self.coefficients))
         if self.pattern is None:
             return out
         return out + self.pattern.error_m(pixels_px, z, np.array([self.width, self.height], float))
@@ -142,9 +142,10 @@ class PolynomialField:
         """(..., k) derivatives of the field by its coefficients, then by p and q."""
         z, T = np.clip(z_m, self.min_m, self.max_m)[..., None], self._shapes(pixels_px)
         pattern, log = (T @ self.coefficients)[..., None], np.log(z / FIELD_AT_M)
-        return np.concatenate([T, pattern * log, pattern * log**2], axis=-1) * self._grown(z)
+        return np.concatenate([T, pattern * log, pattern * log**2], axis=-1) * self.growth_at(z)
 
-    def _grown(self, z_m: FloatArray) -> FloatArray:
+    def growth_at(self, z_m: FloatArray) -> FloatArray:
+        """Factor (...) of the field at depths (...) against FIELD_AT_M."""
         p, q = self.growth
         log = np.log(z_m / FIELD_AT_M)
         return np.asarray(np.exp((p + q * log) * log))

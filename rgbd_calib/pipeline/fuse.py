@@ -10,6 +10,7 @@ import numpy as np
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.blas import one_blas_thread
+from rgbd_calib.geometry.depth_image import DepthImage
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import whole_file
 from rgbd_calib.io.recording import Recording
@@ -118,18 +119,21 @@ def _cloud(recording: Recording, rig: Rig, name: str, frame: str, params: FusePa
     depth_m = recording.depth_m(name, frame)
     measured = np.isfinite(depth_m)
     jump = on_jump(depth_m, params.jump)
-    z_m = depth_m if camera.depth_bias is None else camera.depth_bias.correct(depth_m)
-    far = measured & ~jump & (z_m > params.max_depth_m)
-    v, u = np.nonzero(measured & ~jump & ~far)
-    p_color = camera.intrinsics.unproject(np.stack([u, v], axis=1).astype(float), z_m[v, u])
-    seen = np.isfinite(p_color).all(axis=1)
+    height, width = depth_m.shape
+    p_color = DepthImage(camera.depth_sensor, width, height).points(depth_m)
+    lost = measured & ~np.isfinite(p_color).all(axis=-1)
+    far = measured & ~jump & (p_color[..., 2] > params.max_depth_m)
+    kept = measured & ~jump & ~far & ~lost
+    p_color = p_color[kept]
     if frame in recording.color_files[name]:
+        at = np.rint(camera.intrinsics.project(p_color)).astype(int)
+        u, v = np.clip(at, 0, np.array([camera.intrinsics.width, camera.intrinsics.height]) - 1).T
         colors = recording.color(name, frame)[v, u, ::-1]
     else:
-        colors = np.full((len(u), 3), 128, np.uint8)
+        colors = np.full((len(p_color), 3), 128, np.uint8)
     dropped = {
         "edge": int(np.count_nonzero(jump)),
         "too far": int(np.count_nonzero(far)),
-        "beyond the lens model": int(np.count_nonzero(~seen)),
+        "beyond the lens model": int(np.count_nonzero(lost & ~jump)),
     }
-    return Cloud(name, se3.transform(camera.T_world_color, p_color[seen]), colors[seen], dropped)
+    return Cloud(name, se3.transform(camera.T_world_color, p_color), colors, dropped)

@@ -64,7 +64,8 @@ def _refuse_second_correction(recording: Recording, rig: Rig, shared: tuple[str,
     undistorted = isinstance(corrected, dict) and corrected.get("undistorted")
     for name in shared:
         camera = rig.cameras[name]
-        again = ["a depth bias"] if camera.depth_bias is not None else []
+        errors = (camera.depth_bias, camera.depth_field, camera.depth_camera)
+        again = ["a depth bias"] if any(error is not None for error in errors) else []
         again += ["distortion"] if undistorted and any(camera.intrinsics.distortion) else []
         if again:
             raise ConfigError(
