@@ -173,7 +173,7 @@ class GridField:
         axes = self.u_px, self.v_px, self.z_m
         at = np.concatenate([pixels_px, np.asarray(z_m, float)[..., None]], axis=-1)
         held = np.clip(at, [a[0] for a in axes], [a[-1] for a in axes])
-        return np.asarray(RegularGridInterpolator(axes, self.error)(held))
+        return np.asarray(RegularGridInterpolator(axes, self.error, bounds_error=False)(held))
 
 
 DepthField = PolynomialField | GridField
