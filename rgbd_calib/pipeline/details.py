@@ -22,6 +22,7 @@ from rgbd_calib.rig.initialization import InitializationParams, initialize
 from rgbd_calib.rig.solution import Solution
 from rgbd_calib.trust.uncertainty import JointCovariance, expected_alignment, volume
 from rgbd_calib.types import Board, Correspondences, PlacedView, Rig
+from rgbd_calib.views.corner_points import corner_points
 from rgbd_calib.views.correspondence import correspond
 
 GRID = 9
@@ -148,7 +149,7 @@ def residuals_of_rig(
         view, own = placed.view, rig.cameras[placed.view.camera]
         p = se3.transform(se3.inverse(own.T_world_color) @ boards[view.frame], placed.points_m(board))
         r = view.corners_px - own.intrinsics.project(p)
-        z_m = view.depth_m if own.depth_bias is None else own.depth_bias.correct(view.depth_m)
+        z_m = corner_points(view, placed.T_color_board, own.intrinsics, own.depth_sensor)[:, 2]
         for k, uv, z in zip(placed.front_corner(board), r, z_m - p[:, 2], strict=True):
             left[view.camera, view.frame, str(k)] = (uv, float(z))
     return _of_views(views, board, lambda name: left[name])

@@ -148,7 +148,7 @@ def fit_views(rig: Rig, placed: Sequence[PlacedView], board: Board) -> tuple[Fit
 
     def fit(view: PlacedView, noise: Noise) -> FittedView:
         own = rig.cameras[view.view.camera]
-        return fit_view(view, board, own.intrinsics, own.depth_bias, noise)
+        return fit_view(view, board, own.intrinsics, own.depth_sensor, noise)
 
     first = [fit(view, common) for view in placed]
     planes = np.array([v.plane_sigmas for v in first])

@@ -16,8 +16,10 @@ import numpy as np
 
 from rgbd_calib.geometry import camera, se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.geometry.depth_sensor import DepthSensor
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.types import Board, DepthBias, PlacedView
+from rgbd_calib.types import Board, PlacedView
+from rgbd_calib.views.corner_points import corner_points
 
 _ITERATIONS = 8
 _HUBER = 3.0
@@ -55,15 +57,14 @@ class FittedView:
     """(n, 3), the corners seen, in the board's frame."""
 
 
-def fit_view(
-    placed: PlacedView, board: Board, intrinsics: Intrinsics, bias: DepthBias | None, noise: Noise
-) -> FittedView:
+def fit_view(placed: PlacedView, board: Board, intrinsics: Intrinsics, sensor: DepthSensor, noise: Noise) -> FittedView:
     """Fit the board's pose from the view's start by Gauss-Newton with Huber's weights."""
     view, points = placed.view, placed.points_m(board)
     raw = np.where(np.isfinite(view.depth_m), view.depth_m, 1.0)
-    has = np.isfinite(view.depth_m)
+    z_m = corner_points(view, placed.T_color_board, intrinsics, sensor)[:, 2]
+    has = np.isfinite(z_m)
+    z_m = np.where(has, z_m, 1.0)
     has = has if has.sum() >= _MIN_DEPTHS else np.zeros_like(has)
-    z_m = raw if bias is None else bias.correct(raw)
     Q = _plane_part(points, raw, has)
     T = placed.T_color_board
     for _ in range(_ITERATIONS):
