@@ -30,6 +30,8 @@ from rgbd_calib.types import Board, PlacedView
 
 SCALES_KNOWN = 0.1
 """Relative change of the sigmas below which they are known well enough to call something an outlier."""
+MAX_READINGS = 8
+"""Rounds after which frames may be read anew; three or four do."""
 MIN_SHARE_LEFT = 0.2
 """Of a camera's views that others share: where fewer agree with the rest, the camera is not of this rig."""
 
@@ -80,18 +82,19 @@ def bundle(
     problem, state, frames = problem_of(views, board, priors, T_world_color, reference, params, walls)
     dropped, dropped_corners = dict[tuple[str, str], str](), 0
     history: list[Round] = []
-    iterations, read, settled, taken_back = 0, False, False, False
+    iterations, settled, taken_back = 0, False, False
     keys = [(placed.view.camera, placed.view.frame) for placed in views]
-    for _ in range(params.max_rounds):
+    n_readings = MAX_READINGS if faces.ambiguous(board) else 0
+    for k in range(n_readings + params.max_rounds):
         problem, state, moved, done = _round(problem, state, len(dropped))
         iterations, history = iterations + done[0], [*history, done[1]]
-        if not read:
+        if k < n_readings:
             readings = faces.best_readings(problem, state)
-            read = not readings.n_changed
-            if not read:
+            if readings.n_changed:
                 views = faces.read_views(views, problem.obs.frame, readings, board)
                 problem, state = faces.read(problem, state, readings.moves, readings.of_frame)
                 continue
+            n_readings = 0  # once nothing changes, nothing is read again
         if moved < SCALES_KNOWN:
             found = outliers.find(problem, state)
             reasons = dict(found.pixel_views) | {v: f"depth only: {why}" for v, why in found.depth_views.items()}

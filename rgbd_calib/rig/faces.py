@@ -16,8 +16,9 @@ import numpy as np
 
 from rgbd_calib.geometry.linear import IntArray
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.rig.blocks.block import Kind
 from rgbd_calib.rig.observations import Observations
-from rgbd_calib.rig.problem import OF_BOARDS, Problem, State
+from rgbd_calib.rig.problem import Problem, State
 from rgbd_calib.types import Board, PlacedView
 
 POSE_STEPS = 2
@@ -40,11 +41,17 @@ class Readings:
         return int(np.count_nonzero(self.of_frame))
 
 
+def ambiguous(board: Board) -> bool:
+    """Can frames be read in more than one way?"""
+    return len(_moves(board)) > 1
+
+
 def best_readings(problem: Problem, state: State) -> Readings:
-    """The best reading of each frame for the board's shape, cameras and depth as they are, the board's pose free."""
+    """The best reading of each frame for the board's shape and the cameras as they are, the board's pose free.
+
+    By the pixels alone: depth may have been taken at another instant.
+    """
     moves, F = _moves(problem.setup.board), problem.setup.obs.n_frames
-    if len(moves) == 1:
-        return Readings(moves, np.zeros(F, int))
     costs = np.stack([_costs(*_posed(*read(problem, state, moves, np.full(F, k)))) for k in range(len(moves))])
     best = np.argmin(costs, axis=0)
     gained = costs[0] - costs[best, np.arange(F)] > MIN_GAIN
@@ -97,14 +104,14 @@ def _read(board: Board, obs: Observations, moves: Sequence[tuple[bool, bool]], o
 def _posed(problem: Problem, state: State) -> tuple[Problem, State]:
     """With the boards' poses alone solved for."""
     for _ in range(POSE_STEPS):
-        own = problem.data_equations(state, kinds=OF_BOARDS).regular()
+        own = problem.data_equations(state, kinds=(Kind.PIXEL,)).regular()
         step = -np.einsum("fij,fj->fi", own.V_inv, own.unit_gradient)
         state = problem.moved(state, np.zeros(problem.n_globals), step)
     return problem, state
 
 
 def _costs(problem: Problem, state: State) -> FloatArray:
-    """(F,), half the weighted sum of squares of each frame's views."""
-    (pixel, depth), (w_pixel, w_depth) = problem.residuals(state), problem.weights.scales(problem.obs)
-    of_view = np.sum((pixel * w_pixel[..., None]) ** 2, axis=(1, 2)) + np.sum((depth * w_depth) ** 2, axis=1)
+    """(F,), half the weighted sum of squares of each frame's pixels."""
+    of_pixel = problem.residuals(state)[0] * problem.weights.scales(problem.obs)[0][..., None]
+    of_view = np.sum(of_pixel**2, axis=(1, 2))
     return np.asarray(0.5 * np.bincount(problem.obs.frame, of_view, minlength=problem.setup.obs.n_frames))
