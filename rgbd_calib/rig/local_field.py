@@ -1,8 +1,9 @@
 """What a depth sensor errs by over its image, beyond the smooth field: cells, steps, ripples, from the walls alone.
 
 With the smooth field (:mod:`.blocks.depth_field`) and all else as solved, what is left in the walls of one camera, beyond
-shapes that are smooth themselves, is a sum of patterns f_p(u, v) z^p, plus noise that grows as z^2. In the frequencies of the image the patterns are independent of each
-other, those of one band of frequencies alike in size. Their covariance over the powers, band by band, is that which makes
+shapes that are smooth themselves, is a sum of patterns f_p(u, v) z^p, plus noise that grows as z^2. In the frequencies of
+the image the patterns are independent of each other, those of one band of frequencies alike in size, and so is the noise:
+neighbouring pixels share some of it. Their covariance over the powers, band by band, is that which makes
 the data most probable (expectation and maximisation), and the patterns are their mean given the data (N. Wiener, 1949): where
 there is no pattern nothing is left, and where there is one its noise is not taken for it.
 
@@ -11,6 +12,8 @@ rest is solved.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import dctn, idctn
@@ -33,6 +36,16 @@ ROUNDS = 40
 """Of expectation and maximisation."""
 
 
+@dataclass(frozen=True)
+class LocalField(CellPattern):
+    """A pattern, and where its estimate stands: from there the next one goes on, since small sizes take many rounds."""
+
+    sizes: FloatArray | None = None
+    """(bands, powers, powers), covariance of the pattern's spectrum."""
+    noise: FloatArray | None = None
+    """(bands,), variance of the spectrum of one wall's error over z^2."""
+
+
 def local_fields(problem: Problem, state: State) -> tuple[CellPattern | None, ...]:
     """The pattern of each camera that the walls show at a state; empty where there are no walls."""
     walls, found = problem.setup.walls, list[CellPattern | None]()
@@ -46,11 +59,15 @@ def local_fields(problem: Problem, state: State) -> tuple[CellPattern | None, ..
         if problem.local and (now := problem.local[c]) is not None:
             own_m = own_m + now.error_m(pixels_px, depth_m, sizes_px[c])
         shape = (len(own_m), *grid)
-        found.append(local_field(own_m.reshape(shape), depth_m.reshape(shape), seen.reshape(shape)))
+        before = problem.local[c] if problem.local else None
+        start = before if isinstance(before, LocalField) else None
+        found.append(local_field(own_m.reshape(shape), depth_m.reshape(shape), seen.reshape(shape), start))
     return tuple(found)
 
 
-def local_field(left_m: FloatArray, depth_m: FloatArray, seen: BoolArray) -> CellPattern | None:
+def local_field(
+    left_m: FloatArray, depth_m: FloatArray, seen: BoolArray, start: LocalField | None = None
+) -> LocalField | None:
     """The pattern of one camera.
 
     Parameters
@@ -68,23 +85,26 @@ def local_field(left_m: FloatArray, depth_m: FloatArray, seen: BoolArray) -> Cel
     z = np.sum(depth_m * known, axis=(1, 2)) / known.sum(axis=(1, 2))
     A = z[:, None] ** (np.array(POWERS, float) - 2)  # (walls, powers)
     band = _bands(*q.shape[1:])
-    S = np.eye(len(POWERS)) * float(np.mean(q[known] ** 2))
-    sizes, noise = np.repeat(S[None], BANDS, axis=0), float(np.mean(q[known] ** 2))
+    count = np.bincount(band.ravel(), minlength=BANDS)
+    noise = np.full(BANDS, float(np.mean(q[known] ** 2)))
+    sizes = np.eye(len(POWERS)) * noise[:, None, None]
+    if start is not None and start.sizes is not None and start.noise is not None:
+        sizes, noise = start.sizes, start.noise
     filled = q
     for _ in range(ROUNDS):
         at = dctn(filled, axes=(1, 2), norm="ortho")  # (walls, rows, columns)
-        posterior = np.linalg.inv(np.linalg.inv(sizes) + A.T @ A / noise)  # (bands, powers, powers)
-        mean = np.einsum("rcpq,wq,wrc->rcp", posterior[band], A, at) / noise
-        count = np.bincount(band.ravel(), minlength=BANDS)
+        posterior = np.linalg.inv(np.linalg.inv(sizes) + A.T @ A / noise[:, None, None])  # (bands, powers, powers)
+        mean = np.einsum("rcpq,wq,wrc->rcp", posterior[band], A, at) / noise[band][..., None]
         outer = np.zeros((BANDS, len(POWERS), len(POWERS)))
         np.add.at(outer, band.ravel(), (mean[..., :, None] * mean[..., None, :]).reshape(-1, *outer.shape[1:]))
         sizes = outer / count[:, None, None] + posterior
+        left = np.sum((at - np.einsum("wp,rcp->wrc", A, mean)) ** 2, axis=0)
+        lost = np.einsum("wp,bpq,wq->b", A, posterior, A)
+        noise = (np.bincount(band.ravel(), left.ravel(), BANDS) / count / known.mean() + lost) / len(q)
         values = idctn(mean, axes=(0, 1), norm="ortho")
-        fitted = np.einsum("wp,rcp->wrc", A, values)
-        lost = np.einsum("wp,bpq,wq,b->", A, posterior, A, count)
-        noise = (float(np.sum((q - fitted)[known] ** 2)) + lost * known.mean()) / known.sum()
-        filled = np.where(known, q, fitted)
-    return CellPattern(POWERS, values.transpose(2, 0, 1), np.einsum("b,bpq->pq", count / band.size, posterior))
+        filled = np.where(known, q, np.einsum("wp,rcp->wrc", A, values))
+    covariance = np.einsum("b,bpq->pq", count / band.size, posterior)
+    return LocalField(POWERS, values.transpose(2, 0, 1), covariance, sizes, noise)
 
 
 def _rough(q: FloatArray, known: BoolArray) -> FloatArray:
