@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import cv2
@@ -15,6 +16,7 @@ from rgbd_calib.io.board_files import read_board
 from rgbd_calib.io.dataset import CameraInfo, write_dataset
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import board_data, board_in, read_rig, write_rig
+from rgbd_calib.pipeline.properties import properties_of
 from rgbd_calib.pipeline.rig_inputs import board_for
 from rgbd_calib.rig.bundle import bundle
 from rgbd_calib.simulation.views import true_views
@@ -49,6 +51,10 @@ def test_a_misprinted_bent_board_is_found_as_it_is():
     assert np.sqrt(np.mean(off_m(sv.BOARD.corners_m())[:, :2] ** 2)) > 3e-4  # as stated
     assert np.sqrt(np.mean(off_m(found.front_m)[:, :2] ** 2)) < 2 * sigma_m
     assert found.front_sd_m is not None and found.back_m is None
+    told = " ".join(properties_of(solution))
+    assert re.search(r"The print is 0\.(39|40|41) % wider along its columns than along its rows", told), told
+    assert re.search(r"bent by (0\.[89]|1\.[0-4])\d mm", told), told
+    assert "misregistered" not in told  # it is not
     assert np.sqrt(np.mean((off_m(found.front_m) / found.front_sd_m)[:, :2] ** 2)) < 2
 
 

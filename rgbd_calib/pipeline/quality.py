@@ -9,6 +9,7 @@ import numpy as np
 
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.evaluate import Evaluation
+from rgbd_calib.pipeline.properties import properties_of
 from rgbd_calib.rig.biobjective import RefinementResult
 from rgbd_calib.rig.initialization import InitializationResult
 from rgbd_calib.rig.solution import Solution
@@ -63,6 +64,7 @@ def bundle_quality(solved: Solution) -> dict[str, Any]:
         "dropped_depth_corners": solved.course.dropped_depth_corners,
         "not_observable": list(solved.observability.sentences),
         "reciprocal_condition": solved.observability.reciprocal_condition,
+        "corrected": properties_of(solved),
         "board_bow_m": solved.state.values["bow"][0],
         "common_error_sigmas": {"pixel": solved.common.pixel, "depth": solved.common.depth},
     }

@@ -72,6 +72,7 @@ def judge(quality: Mapping[str, Any], missing: Sequence[str], depth_noise_mm: fl
             f"Self-checks: {checks['tested']} tests of the residuals (over the image, the range, time and cameras, and with "
             "parts of the recording held out) found nothing that the stated errors leave out."
         )
+    reasons += [_sentence(text) for text in quality.get("corrected", [])]
     if weak and levels:
         levels.append("fair")
     level: Level = max(levels, key=_ORDER.index) if levels else "unknown"
