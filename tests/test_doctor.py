@@ -200,7 +200,7 @@ def test_the_command_tells_and_exits_for_scripts(run, good, tmp_path):
     source, views = good
     write_corners(tmp_path / "corners.csv", views)
     out = run("doctor", source.path, "--corners", tmp_path / "corners.csv")
-    assert out.status == 0 and "nothing to mend" in out.stderr
+    assert out.status == 0 and "no problems found" in out.stderr
     few = [v for v in views if v.camera != "C3"]
     write_corners(tmp_path / "few.csv", few)
     out = run("doctor", source.path, "--corners", tmp_path / "few.csv", "--json")

@@ -58,13 +58,13 @@ if TYPE_CHECKING:
 @click.option(
     "--strict",
     is_flag=True,
-    help="Exit with 1 where the verdict is: do not trust this. The rig is written all the same.",
+    help="Exit with status 1 if the self-checks fail. The rig is written all the same.",
 )
 @click.option(
     "--max-views",
     type=click.IntRange(3),
     metavar="N",
-    help="Frames of the board to use at most: those that tell most; what the others would add is said.  [default: all]",
+    help="Frames of the board to use at most (the most informative); what the others would add is said.  [default: all]",
 )
 @config_option
 @workers_options
@@ -211,7 +211,7 @@ def command(
         )
         x, y, z = camera.T_world_color[:3, 3]
         show(f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m  {sure}")
-    say(f"Wrote {output}, and what is left at every corner to {left}")
+    say(f"Wrote {output}, and the per-corner residuals to {left}")
     if report is not None:
         from rgbd_calib.pipeline.report import write_report
 
@@ -242,7 +242,7 @@ def describe(quality: dict[str, Any]) -> list[str]:
     if "median_mm" in on_own:
         lines.append(
             f"Two cameras put the same corner {on_own['median_mm']:.2f} mm apart in the median "
-            f"({on_own['mean_mm']:.2f} mm in the mean), on this recording, noise of single depths included"
+            f"({on_own['mean_mm']:.2f} mm in the mean), on this recording, including single-reading depth noise"
         )
     if "status" in quality:
         lines.append(f"{quality['method']}: {quality['message']}")

@@ -43,7 +43,7 @@ from rgbd_calib.errors import ConfigError
 )
 @driver_option
 @redist_option
-@click.option("--append", is_flag=True, help="Go on with a recording.")
+@click.option("--append", is_flag=True, help="Resume a recording.")
 @click.option(
     "--preview",
     is_flag=False,
@@ -93,7 +93,7 @@ def command(
       rgbd-calib capture rig1/intrinsic --board 9x6 --square 0.06 --intrinsic
       rgbd-calib capture rig1/depth_bias --depth-bias --distances 0.8,1.2,1.6,2.0,2.5,3.0
 
-    Ctrl-C ends it in good order, with exit status 0 and all that was recorded. The status is 1 where it could not go
+    Ctrl-C stops cleanly, with exit status 0 and all that was recorded. The status is 1 where it could not go
     on (disk full, no frames from any camera) or recorded nothing. OUT/capture.yaml says what happened.
     """
     known_distances = _parse_distances(distances)

@@ -80,7 +80,7 @@ def command(
     serious = sum(f.matters for f in result.findings)
     say(
         f"{result.images} images, the board in {result.views}: "
-        + (f"{serious} thing(s) to mend" if serious else "nothing to mend")
+        + (f"{serious} problem{'s' * (serious != 1)} found" if serious else "no problems found")
         + (f", {len(result.findings) - serious} piece(s) of advice" if len(result.findings) > serious else "")
     )
     return 0 if result.healthy else 1

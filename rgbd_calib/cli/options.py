@@ -49,11 +49,13 @@ def workers_options(command: Callable[..., Any]) -> Callable[..., Any]:
         help="Scheduler of a Dask cluster to look at the images, such as tcp://10.0.0.1:8786; it and its workers need "
         "this version of rgbd-calib, the workers also RECORDING under the same path.",
     )
-    @click.option("--no-cache", is_flag=True, help="Find every board anew, and keep nothing (see rgbd-calib cache).")
+    @click.option(
+        "--no-cache", is_flag=True, help="Ignore the detection cache, and write nothing to it (see rgbd-calib cache)."
+    )
     @wraps(command)
     def with_workers(*args: Any, jobs: int | None, dask: str | None, no_cache: bool, **options: Any) -> Any:
         if jobs is not None and dask is not None:
-            raise click.UsageError("--jobs goes without --dask: the cluster has the workers that it has")
+            raise click.UsageError("--jobs goes without --dask: the cluster determines the number of workers")
         from rgbd_calib.io.cache import default_folder
         from rgbd_calib.pipeline.workers import Workers
 

@@ -22,7 +22,7 @@ from rgbd_calib.cli.options import (
 @click.option("--intrinsics", type=click.Path(path_type=Path), required=True, help="intrinsics.yaml, or any rig file.")
 @output_option("rig.yaml")
 @method_options(("init", "ba", "icp", "baicp+", "biobjective"))
-@click.option("--strict", is_flag=True, help="Exit with 1 where the verdict is: do not trust this. The rig is written.")
+@click.option("--strict", is_flag=True, help="Exit with status 1 if the self-checks fail. The rig is written.")
 @config_option
 @overwrite_option
 def command(

@@ -76,7 +76,7 @@ def update(
             show(f"{only}: added by {result.report['views']} views")
         for pair, numbers in result.report["alignment"].items():
             if "median_mm" in numbers:
-                show(f"{pair}: {numbers['median_mm']:.2f} mm apart in the median, noise of single depths included")
+                show(f"{pair}: {numbers['median_mm']:.2f} mm apart in the median, including single-reading depth noise")
     say(f"Wrote {output}")
 
 

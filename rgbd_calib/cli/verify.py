@@ -36,7 +36,7 @@ def command(
     config: Path | None,
     workers: Workers,
 ) -> int:
-    """Tell by a few new frames of the board whether RIG still holds, and which camera moved.
+    """Check from a few new frames of the board whether RIG is still valid, and which camera moved.
 
     Lenses and depth biases are taken as they are; the cameras are posed anew by RECORDING and compared, pair by pair, at
     the places where the board was, noise taken off. Five frames for each pair of neighbours are good. Where a camera

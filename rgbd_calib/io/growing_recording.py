@@ -228,7 +228,7 @@ class GrowingRecording:
         kept = f"{self.finished} frame set{'s' if self.finished != 1 else ''} of this session kept"
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
             return f"{self.folder}: the disk is full; {kept}. Free space, then go on with --append"
-        return f"{self.folder}: writing failed ({getattr(error, 'strerror', None) or error}); {kept}. Mend that, then go on with --append"
+        return f"{self.folder}: writing failed ({getattr(error, 'strerror', None) or error}); {kept}. Fix this, then go on with --append"
 
 
 def append_lines(lines: Sequence[tuple[Path, str, str]]) -> None:

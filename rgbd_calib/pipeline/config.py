@@ -38,7 +38,7 @@ class Config:
     """Camera whose frame is the world; None: the first of dataset.yaml."""
     seed: int = 0
     max_views: int | None = None
-    """Frames of the board from which the rig is calibrated at most, those that tell most; None: all."""
+    """Frames of the board from which the rig is calibrated at most (the most informative); None: all."""
     detect: DetectParams = field(default_factory=DetectParams)
     intrinsics: IntrinsicsParams = field(default_factory=IntrinsicsParams)
     depth_bias: DepthBiasParams = field(default_factory=DepthBiasParams)

@@ -241,7 +241,7 @@ def _dropped(quality: Mapping[str, Any]) -> list[tuple[str, str, str]]:
             rows += [(name, frame, why) for frame, why in frames.items()]
     for view in quality.get("plane_filter", {}).get("dropped_depth", []):
         name, _, frame = view.partition(" ")
-        rows.append((name, frame, "depth only: it does not lie on the board's plane"))
+        rows.append((name, frame, "depth rejected: it does not lie on the board's plane"))
     return rows
 
 

@@ -97,7 +97,9 @@ def bundle(
             n_readings = 0  # once nothing changes, nothing is read again
         if moved < SCALES_KNOWN:
             found = outliers.find(problem, state)
-            reasons = dict(found.pixel_views) | {v: f"depth only: {why}" for v, why in found.depth_views.items()}
+            reasons = dict(found.pixel_views) | {
+                v: f"depth rejected as an outlier: {why}" for v, why in found.depth_views.items()
+            }
             dropped |= {keys[v]: why for v, why in reasons.items()}
             dropped_corners += found.depth_corners
             if reasons or found.depth_corners:

@@ -1,4 +1,4 @@
-"""How far apart two cameras of a rig put the same point, as its covariance lets expect.
+"""How far apart two cameras of a rig put the same point, as predicted by its joint covariance.
 
 Camera l puts a pixel q with the reported depth z at
 

@@ -54,7 +54,7 @@ def judge(quality: Mapping[str, Any], missing: Sequence[str], depth_noise_mm: fl
         )
     if scale := quality.get("self_check", {}).get("scale"):
         reasons.append(
-            f"Distances as such rest on the board: by the depth its squares are {round(scale['percent'], 3) + 0.0:+.3f} ± "
+            f"Absolute scale depends on the board: by the depth its squares are {round(scale['percent'], 3) + 0.0:+.3f} ± "
             f"{scale['sd_percent']:.3f} % from what was stated, or {_mm(10 * scale['sd_percent'] * scale['distance_m'])} at "
             f"{scale['distance_m']:.1f} m (one sigma)."
         )
@@ -95,7 +95,7 @@ def judge(quality: Mapping[str, Any], missing: Sequence[str], depth_noise_mm: fl
 def _finding(own: Mapping[str, Any]) -> str:
     if own["level"] == "distrust":
         return f"Self-check ({own['check']}): {_sentence(own['text'])}"
-    more = f" Count with {_mm(own['effect_mm'])} more than the stated error." if "effect_mm" in own else ""
+    more = f" Expect {_mm(own['effect_mm'])} more than the stated error." if "effect_mm" in own else ""
     return f"Self-check ({own['check']}): {_sentence(own['text'])}{more}"
 
 

@@ -98,7 +98,7 @@ def check_bundle(
     folds = hold_out(eq, params)
     of_folds = held_out_findings(hold_out(explained, params), params, len(tests), stated_mm)
     dropped = solved.course.dropped
-    blind = [key for key, why in dropped.items() if why.startswith("depth only")]
+    blind = [key for key, why in dropped.items() if why.startswith("depth rejected")]
     lost = [*association.dropped, *(key for key in dropped if key not in blind)]
     ratios = ratios_of_bundle(solved, eq, params)
     findings = [
