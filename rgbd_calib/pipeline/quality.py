@@ -65,7 +65,7 @@ def bundle_quality(solved: Solution) -> dict[str, Any]:
         "not_observable": list(solved.observability.sentences),
         "reciprocal_condition": solved.observability.reciprocal_condition,
         "corrected": properties_of(solved),
-        "board_bow_m": solved.state.values["bow"][0],
+        **({"board_bow_m": solved.state.values["bow"][0]} if "bow" in solved.state.values else {}),
         "common_error_sigmas": {"pixel": solved.common.pixel, "depth": solved.common.depth},
     }
 

@@ -161,10 +161,11 @@ class Solution:
         corners_m = problem.board_corners_m(self.state)
         variance = np.zeros((2, M, 3))
         blocks = [b for b in problem.blocks if isinstance(b, BoardShapeBlock)]
-        at = np.concatenate([problem.index(b.name) for b in blocks])
+        at = np.concatenate([np.zeros(0, int), *(problem.index(b.name) for b in blocks)])
         C = self.covariance[np.ix_(at, at)]
         for axis in range(3):
-            J = np.concatenate([b.by_parameters()[:, :, axis].reshape(2 * M, -1) for b in blocks], axis=1)
+            own = (b.by_parameters()[:, :, axis].reshape(2 * M, -1) for b in blocks)
+            J = np.concatenate([np.zeros((2 * M, 0)), *own], axis=1)
             variance[:, :, axis] = np.einsum("kp,pq,kq->k", J, C, J).reshape(2, M)
         sd_m = np.sqrt(np.maximum(variance, 0.0))
         if problem.setup.board.two_sided:

@@ -8,7 +8,7 @@ import numpy as np
 
 from rgbd_calib.geometry.linear import IntArray, NormalEquations, assemble
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.rig.blocks import HELD, Block
+from rgbd_calib.rig.blocks import ESTIMATED, HELD, Block
 from rgbd_calib.rig.pose_rows import N_PARTS, part_of, through
 from rgbd_calib.rig.problem import OF_BOARDS, Problem, State
 from rgbd_calib.rig.solution import Solution
@@ -22,8 +22,9 @@ GROUPS = np.concatenate([PIXEL_PARTS, PIXEL_PARTS.max() + 1 + DEPTH_PARTS])
 
 
 def held_blocks(problem: Problem) -> tuple[Block, ...]:
-    """What the problem holds at zero."""
-    return tuple(block(problem.setup) for block in HELD)
+    """What the problem holds at zero: always, or because it was asked to."""
+    made = (block(problem.setup) for block in (*HELD, *ESTIMATED) if block.name not in problem.parts)
+    return tuple(block for block in made if block.held is not None)
 
 
 def equations_of(solution: Solution, held: Sequence[Block], frames: Sequence[str]) -> Equations:
