@@ -46,6 +46,9 @@ PATCHES = (10, 8)
 MIN_PATCHES = 27
 """Patches that a field of the sixth degree explains."""
 WALL_PARAMETERS = 3
+MOST_K_WALL = 5e-3
+"""Of the mean of a cell: single pixels of the worst sensors have this. Walls that fit worse are not noisy; what pulls the
+estimate away from them, as depth of other instants does, must not put them out."""
 MEDIAN_OF_ABSOLUTE = 0.6745
 """Of a normal error, in deviations."""
 DISTANCE_DOF = 1.0
@@ -180,7 +183,7 @@ def _wall_weights(problem: Problem, state: State) -> tuple[FloatArray, FloatArra
         alone = float(np.sum(w * own_r**2) / np.sum(w))
         n_planes = WALL_PARAMETERS * int(used.any(axis=1).sum())
         of_patches = (_variance(of_wall, w, own_r, n_planes), _variance(patch, w, own_r, MIN_PATCHES))
-        k[c] = max(np.sqrt(max(alone, *of_patches)), 1e-6)
+        k[c] = np.clip(np.sqrt(max(alone, *of_patches)), 1e-6, MOST_K_WALL)
     sigma = np.where(walls.seen, k[walls.camera, None], 1.0)
     alone_sigma = np.sqrt(np.median((r**2)[walls.seen])) / MEDIAN_OF_ABSOLUTE if walls.seen.any() else 1.0
     return k, huber((r / np.minimum(sigma, 3 * alone_sigma))[..., None], own.params.huber_sigmas) * walls.seen
