@@ -10,6 +10,7 @@ import pytest
 import synthetic_views as sv
 from scipy.optimize import least_squares
 
+from rgbd_calib.cameras.wall import SeenWall, wall_cells
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
@@ -17,7 +18,9 @@ from rgbd_calib.pipeline.evaluate import against_truth
 from rgbd_calib.rig import solve
 from rgbd_calib.rig.blocks import ESTIMATED, HELD, Kind
 from rgbd_calib.rig.bundle import bundle, free_structure, freed, problem_of
+from rgbd_calib.rig.observations import Walls
 from rgbd_calib.rig.problem import Problem, State
+from rgbd_calib.rig.reweight import MOST_K_WALL, reweighted
 from rgbd_calib.rig.setup import BundleParams, CameraPrior
 from rgbd_calib.rig.solution import Solution
 from rgbd_calib.simulation.views import ViewNoise, true_views
@@ -322,3 +325,20 @@ def test_free_structure_does_not_mind_a_board_that_is_not_what_was_printed() -> 
     assert np.abs(right - wrong).max() < 0.2 * sd.max()
     # the board's shape takes what lies in its plane; what stands out of it by a millimetre, at 45 degrees, is left
     assert fits < 0.12 < does_not
+
+
+def test_walls_that_fit_badly_are_not_taken_for_noise() -> None:
+    """Else an estimate that something pulls away from the walls would put them out, and stay there."""
+    rng = np.random.default_rng(1)
+    rig = sv.arc(2, biased=True)
+    T = {name: own.T_world_color for name, own in rig.cameras.items()}
+    walls = []
+    for z_m in (1.0, 1.5, 2.0, 3.0):
+        cells = wall_cells(np.full((480, 640), z_m))
+        off_m = 0.05 * z_m**2 * np.where(cells.pixels_px[..., 0] < 320, 1.0, -1.0)
+        walls.append(SeenWall(f"{z_m}", z_m, 0.002, replace(cells, depth_m=cells.depth_m + off_m)))
+    seen = Walls.of(list(rig.cameras), {"C2": walls})
+    views = draw(rig, sv.BOARD, 8, rng)
+    own, state, _ = problem_of(views, sv.BOARD, priors_of(rig, rng), T, "C1", BundleParams(), seen)
+    again = reweighted(own, state, solve.covariance(own, state))
+    assert again.k_wall[1] == MOST_K_WALL
