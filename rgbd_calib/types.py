@@ -11,6 +11,7 @@ import numpy as np
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.depth_error import DepthBias as DepthBias
 from rgbd_calib.geometry.depth_error import DepthField as DepthField
+from rgbd_calib.geometry.depth_image import DepthImage
 from rgbd_calib.geometry.depth_sensor import DepthCamera as DepthCamera
 from rgbd_calib.geometry.depth_sensor import DepthSensor as DepthSensor
 from rgbd_calib.geometry.so3 import FloatArray
@@ -176,6 +177,11 @@ class RigCamera:
     def depth_sensor(self) -> DepthSensor:
         """Its depth sensor, as far as it is known."""
         return DepthSensor(self.depth_camera or DepthCamera(self.intrinsics), self.depth_bias, self.depth_field)
+
+    @cached_property
+    def depth_image(self) -> DepthImage:
+        """The same over its whole image."""
+        return DepthImage(self.depth_sensor)
 
 
 @dataclass(frozen=True)

@@ -11,14 +11,14 @@ from pathlib import Path
 import click
 import numpy as np
 from benchmark_accuracy import nees
+from study_robustness import alignment_mm
 
 from rgbd_calib.cli.options import progress
 from rgbd_calib.io.recording import open_recording
-from rgbd_calib.io.rig import read_boards, read_rig
+from rgbd_calib.io.rig import read_rig
 from rgbd_calib.pipeline.calibrate import calibrate
 from rgbd_calib.pipeline.config import Config
-from rgbd_calib.pipeline.detection import board_of, detect
-from rgbd_calib.pipeline.evaluate import against_truth
+from rgbd_calib.pipeline.detection import detect
 from rgbd_calib.types import Rig
 from rgbd_calib.views.detect import DetectParams
 
@@ -32,7 +32,6 @@ def main(simulation: Path) -> None:
     extrinsic, intrinsic = open_recording(simulation / "extrinsic"), open_recording(simulation / "intrinsic")
     found, close = (detect(one, DetectParams(), progress=progress) for one in (extrinsic, intrinsic))
     truth = read_rig(simulation / "truth.yaml")
-    boards = {f: T for f, T in read_boards(simulation / "truth.yaml").items() if f in extrinsic.frames}
     click.echo("| held at zero | alignment, mm | stated | NEES | depth left, mm RMS |")
     click.echo("|---|---|---|---|---|")
     for hold in ((), *((name,) for name in BLOCKS), BLOCKS):
@@ -45,7 +44,7 @@ def main(simulation: Path) -> None:
             detections=found,
             intrinsic_detections=close,
         )
-        mm = 1e3 * float(against_truth(result.rig, truth, boards, board_of(extrinsic)).distance_m.mean())
+        mm = alignment_mm(simulation, extrinsic, result)
         stated = result.rig.quality["expected_alignment"]["mean_mm"]
         what = "nothing" if not hold else f"`{hold[0]}`" if len(hold) == 1 else "all of these"
         left = depth_left_mm(result.rig, truth)

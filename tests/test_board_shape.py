@@ -11,6 +11,7 @@ import pytest
 import synthetic_views as sv
 from test_bundle import NOISE, draw, priors_of
 
+from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry import align, se3
 from rgbd_calib.io.board_files import read_board
 from rgbd_calib.io.dataset import CameraInfo, write_dataset
@@ -19,8 +20,12 @@ from rgbd_calib.io.rig import board_data, board_in, read_rig, write_rig
 from rgbd_calib.pipeline.properties import properties_of
 from rgbd_calib.pipeline.rig_inputs import board_for
 from rgbd_calib.rig.bundle import bundle
+from rgbd_calib.rig.setup import BundleParams, CameraPrior
 from rgbd_calib.simulation.views import true_views
+from rgbd_calib.trust.self_check import SelfCheckParams
+from rgbd_calib.trust.self_check.calibration import check_bundle
 from rgbd_calib.types import Board, BoardShape, Rig, RigCamera
+from rgbd_calib.views.association import AssociationResult
 from rgbd_calib.views.board_pose import repose
 
 
@@ -42,7 +47,7 @@ def test_a_misprinted_bent_board_is_found_as_it_is():
     views = draw(rig, true, 24, rng)
     T = {name: own.T_world_color for name, own in rig.cameras.items()}
     solution = bundle(views, sv.BOARD, priors_of(rig, rng), T, "C1")
-    found, meant = solution.board_shape(), true.corners_m()
+    found, meant = solution.board_shape, true.corners_m()
 
     def off_m(corners_m: np.ndarray) -> np.ndarray:
         return se3.transform(align.rigid(meant, corners_m), corners_m) - meant
@@ -120,3 +125,25 @@ def test_the_shape_is_taken_for_the_same_board_only(shaped, tmp_path):
         cv2.imwrite(str(tmp_path / "C1" / "color" / "0.png"), np.zeros((lens.height, lens.width, 3), np.uint8))
         found = board_for(open_recording(tmp_path), rig)
         assert (found.shape is not None) == known and found.square_m == stated.square_m
+    with pytest.raises(ConfigError, match="describes no board"):
+        board_for(open_recording(tmp_path), replace(rig, quality={"board": {"cols": 9}}))
+
+
+def test_what_is_held_at_zero_on_request_is_looked_for():
+    """A print that is 0.6 % out of square, and an estimate that may not say so."""
+    rig, rng = sv.arc(3, biased=True), np.random.default_rng(0)
+    flat = sv.BOARD.corners_m()
+    true = replace(sv.BOARD, shape=BoardShape(flat * [1.003, 0.997, 1.0]))
+    boards = sv.board_poses(rig, sv.BOARD, 15, rng)
+    placed = list(sv.placed_truly(rig, boards, true_views(rig, boards, true, NOISE, rng), true))
+    priors = {name: CameraPrior(own.intrinsics, None, True, own.depth_bias) for name, own in rig.cameras.items()}
+    T = {name: own.T_world_color for name, own in rig.cameras.items()}
+    views = [p.view for p in placed]
+    nothing = AssociationResult((), {}, {}, (), "C1")
+    told = {}
+    for hold in ((), ("print", "corner offsets")):
+        result = bundle(placed, sv.BOARD, priors, T, "C1", BundleParams(hold=hold))
+        check = check_bundle(result, sv.BOARD, views, nothing, sorted(boards), 0.0, SelfCheckParams())
+        told[bool(hold)] = [f.text for f in check.findings]
+    assert told[False] == []
+    assert "The printed squares are not square: 0.6" in told[True][0]

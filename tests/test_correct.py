@@ -12,7 +12,7 @@ from rgbd_calib.geometry.camera import Intrinsics, project, unproject
 from rgbd_calib.io.files import dump_yaml, load_yaml
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_rig, write_rig
-from rgbd_calib.pipeline.correct import DepthCorrection, undistort_map
+from rgbd_calib.pipeline.correct import correct_depth, undistort_map
 from rgbd_calib.pipeline.fuse import FuseParams, clouds_of
 from rgbd_calib.types import DepthBias, RigCamera
 
@@ -114,7 +114,7 @@ def test_pixels_beyond_the_lens_models_turning_point_are_left_empty():
 def test_pixels_that_no_longer_fit_become_zero_and_are_counted():
     lens = Intrinsics(4, 1, 1.0, 1.0, 0.0, 0.0)
     camera = RigCamera(lens, np.eye(4), np.zeros((6, 6)), DepthBias((-0.5, 0.1), 0.6, 60.0, 0.0))
-    out, lost, held = DepthCorrection(camera, 4, 1).correct(np.array([[0, 100, 1000, 65000]], np.uint16), 0.001)
+    out, lost, held = correct_depth(np.array([[0, 100, 1000, 65000]], np.uint16), 0.001, camera)
     # 0.1 m: the correction is held at that of 0.6 m, -0.44 m; 65 m: held at that of 60 m, +5.5 m
     assert out.tolist() == [[0, 0, 600, 0]] and (lost, held) == (2, 2)
 

@@ -13,7 +13,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.depth_error import PolynomialField
 from rgbd_calib.geometry.depth_image import DepthImage, seen_by
 from rgbd_calib.geometry.depth_sensor import DepthCamera, DepthSensor
-from rgbd_calib.pipeline.correct import DepthCorrection
+from rgbd_calib.pipeline.correct import correct_depth
 from rgbd_calib.types import RigCamera
 
 SMALL = Intrinsics(160, 120, 140.0, 141.0, 80.5, 59.0, (0.05, -0.1, 0.001, -0.001, 0.0))
@@ -26,7 +26,7 @@ def test_an_image_is_all_its_pixels(own):
     sensor = DepthSensor(DepthCamera(SMALL, se3.retract(np.eye(4), np.array([0.01, 0, 0, 0.02, 0, 0.001]))), BIAS, own)
     z_m = np.random.default_rng(0).uniform(0.3, 5.0, (120, 160))
     z_m[3, 4] = np.nan
-    points = DepthImage(sensor, 160, 120).points(z_m)
+    points = DepthImage(sensor).points(z_m)
     expected = sensor.points(PIXELS, z_m.ravel()).reshape(120, 160, 3)
     assert np.isnan(points[3, 4]).all()
     np.testing.assert_allclose(points, expected, atol=1e-12)
@@ -39,7 +39,7 @@ def test_a_wall_beside_its_colour_image_is_laid_on_it_without_gaps(shift_px, sca
     sensor = DepthSensor(DepthCamera(wrong))
     tilted = np.array([0.1, -0.05, 1.0])
     z_m = 2.0 / (wrong.rays(PIXELS) @ tilted).reshape(120, 160)
-    seen = seen_by(DepthImage(sensor, 160, 120).points(z_m), SMALL)
+    seen = seen_by(DepthImage(sensor).points(z_m), SMALL)
     true_m = 2.0 / (SMALL.rays(PIXELS) @ tilted).reshape(120, 160)
     inner = seen[3:-3, 3:-3]
     assert np.isfinite(inner).all()
@@ -53,7 +53,7 @@ def test_what_is_hidden_stays_hidden_and_what_was_not_seen_stays_empty():
     sensor = DepthSensor(DepthCamera(SMALL, se3.retract(np.eye(4), np.array([0.0, 0, 0, 0.05, 0, 0]))))
     z_m = np.full((120, 160), 2.0)
     z_m[40:80, 60:100] = 1.0
-    seen = seen_by(DepthImage(sensor, 160, 120).points(z_m), SMALL)
+    seen = seen_by(DepthImage(sensor).points(z_m), SMALL)
     row = seen[60, 10:150]
     assert {1.0, 2.0} == set(np.round(row[np.isfinite(row)], 6))
     # 5 cm are 7 px at 1 m and 3.5 px at 2 m: the shadow beside the box
@@ -74,7 +74,7 @@ def test_corrected_depth_has_neither_field_nor_shift():
     at = np.rint(reported_at).astype(int)
     inside = ((at >= 0) & (at < [640, 480])).all(axis=1)
     depth[at[inside, 1], at[inside, 0]] = reported[inside]
-    corrected, lost, _ = DepthCorrection(camera, 640, 480).correct(np.rint(depth / 1e-4).astype(np.uint16), 1e-4)
+    corrected, lost, _ = correct_depth(np.rint(depth / 1e-4).astype(np.uint16), 1e-4, camera)
     inner = corrected[5:-5, 5:-5]
     assert lost == 0
     # the report was rounded to whole pixels: some of its lines are empty, and stay so

@@ -141,9 +141,8 @@ def test_residuals_beside_the_rig_are_those_of_its_boards(calibrated):
             if len(rows.camera):
                 p = se3.transform(se3.inverse(own.T_world_color) @ T, board.corners_m()[rows.feature.astype(int)])
                 expected = rows.pixels_px - camera.project(own.intrinsics.vector, p)
-                np.testing.assert_allclose(
-                    rows.residual_px, expected, atol=2e-3
-                )  # written to a ten-thousandth, corners to a micrometre
+                # written to a ten-thousandth, corners to a micrometre
+                np.testing.assert_allclose(rows.residual_px, expected, atol=2e-3)
     assert numbers.rms(left.residual_px) < 0.3
 
 

@@ -16,7 +16,7 @@ from rgbd_calib.io.rig import read_rig
 from rgbd_calib.report.page import Contents, render
 from rgbd_calib.rig import solve
 from rgbd_calib.rig.bundle import bundle
-from rgbd_calib.rig.setup import BundleParams, CameraPrior
+from rgbd_calib.rig.setup import CameraPrior
 from rgbd_calib.rig.solution import Solution
 from rgbd_calib.simulation.views import ViewNoise, true_views
 from rgbd_calib.trust.self_check import (
@@ -40,7 +40,7 @@ from rgbd_calib.trust.self_check.calibration import check_bundle, of_calibration
 from rgbd_calib.trust.self_check.equations import ViewRows
 from rgbd_calib.trust.self_check.of_solution import equations_of, held_blocks
 from rgbd_calib.trust.verdict import judge
-from rgbd_calib.types import BoardShape, DepthBias, Rig
+from rgbd_calib.types import DepthBias, Rig
 from rgbd_calib.views.association import AssociationResult
 
 PARAMS = SelfCheckParams()
@@ -421,23 +421,3 @@ def test_a_check_that_cannot_be_made_is_not_passed(monkeypatch):
     quality = of_calibration(result, None, [], nothing, sv.BOARD, frames, 0.0, PARAMS)
     assert quality["self_check"]["trusted"] is False
     assert "could not be checked" in quality["self_check"]["findings"][0]["text"]
-
-
-def test_what_is_held_at_zero_on_request_is_looked_for():
-    """A print that is 0.6 % out of square, and an estimate that may not say so."""
-    rig, rng = sv.arc(3, biased=True), np.random.default_rng(0)
-    flat = sv.BOARD.corners_m()
-    true = replace(sv.BOARD, shape=BoardShape(flat * [1.003, 0.997, 1.0]))
-    boards = sv.board_poses(rig, sv.BOARD, 15, rng)
-    placed = list(sv.placed_truly(rig, boards, true_views(rig, boards, true, NOISE, rng), true))
-    priors = {name: CameraPrior(own.intrinsics, None, True, own.depth_bias) for name, own in rig.cameras.items()}
-    T = {name: own.T_world_color for name, own in rig.cameras.items()}
-    views = [p.view for p in placed]
-    nothing = AssociationResult((), {}, {}, (), "C1")
-    told = {}
-    for hold in ((), ("print", "corner offsets")):
-        result = bundle(placed, sv.BOARD, priors, T, "C1", BundleParams(hold=hold))
-        check = check_bundle(result, sv.BOARD, views, nothing, sorted(boards), 0.0, PARAMS)
-        told[bool(hold)] = [f.text for f in check.findings]
-    assert told[False] == []
-    assert "The printed squares are not square: 0.6" in told[True][0]

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError
-from rgbd_calib.geometry import camera, resection, se3, so3
+from rgbd_calib.geometry import camera, resection, se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.selection import most_informative
 from rgbd_calib.geometry.so3 import FloatArray
@@ -125,7 +125,7 @@ def _information(view: BoardView, board: Board, vector: FloatArray) -> FloatArra
         return np.zeros((9, 9))
     p = se3.transform(T_color_face, corners_m)
     _, by_point, by_lens = camera.project_jacobian(vector, p)
-    by_pose = by_point @ np.concatenate([-so3.hat(p), np.broadcast_to(np.eye(3), (len(p), 3, 3))], axis=2)
+    by_pose = by_point @ se3.by_motion(p)
     J, B = by_lens.reshape(-1, 9), by_pose.reshape(-1, 6)
     Q = np.linalg.qr(B)[0]
     left = J - Q @ (Q.T @ J)

@@ -13,6 +13,7 @@ D. Herrera, J. Kannala, J. Heikkila, Joint depth and color camera calibration wi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,9 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import map_coordinates
 
 from rgbd_calib.geometry.so3 import FloatArray
+
+ErrorOfDepth = Callable[[FloatArray], FloatArray]
+"""True less reported depth, metres, of reported depths at given pixels, both (...)."""
 
 
 @dataclass(frozen=True)
@@ -89,15 +93,25 @@ class CellPattern:
 
     def error_m(self, pixels_px: FloatArray, z_m: FloatArray, size_px: FloatArray) -> FloatArray:
         """(...), metres, at pixels (..., 2) of an image of `size_px` (2,) and reported depths (...)."""
+        return self.at(pixels_px, size_px)(z_m)
+
+    def at(self, pixels_px: FloatArray, size_px: FloatArray) -> ErrorOfDepth:
+        """The error at pixels (..., 2) as a function of the reported depths there."""
         _, rows, columns = self.values.shape
         at = (pixels_px + 0.5) / size_px * [columns, rows] - 0.5
-        out = np.zeros(np.shape(z_m))
-        for power, values in zip(self.powers, self.values, strict=True):
-            pattern = map_coordinates(values, [at[..., 1], at[..., 0]], order=1, mode="nearest")
-            out += pattern * np.asarray(z_m) ** power
-        return out
+        maps = [map_coordinates(values, [at[..., 1], at[..., 0]], order=1, mode="nearest") for values in self.values]
+
+        def error_m(z_m: FloatArray) -> FloatArray:
+            out = np.zeros(np.shape(z_m))
+            for power, pattern in zip(self.powers, maps, strict=True):
+                out += pattern * np.asarray(z_m) ** power
+            return out
+
+        return error_m
 
 
+PIXELS_AT_ONCE = 50_000
+"""Whose shapes are in memory together: some 20 MB."""
 FIELD_AT_M = 3.0
 """Depth at which a field has its coefficients: far, where it is largest."""
 
@@ -127,11 +141,23 @@ class PolynomialField:
 
     def error_m(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:
         """field (...), metres, at pixels (..., 2) of the depth image and reported depths (...)."""
-        z = np.clip(z_m, self.min_m, self.max_m)
-        out = np.asarray(self.growth_at(z) * (self._shapes(pixels_px) @ self.coefficients))
-        if self.pattern is None:
-            return out
-        return out + self.pattern.error_m(pixels_px, z, np.array([self.width, self.height], float))
+        return self.at(pixels_px)(z_m)
+
+    def at(self, pixels_px: FloatArray) -> ErrorOfDepth:
+        """The field at pixels (..., 2) as a function of the reported depths there: what does not depend on them, once."""
+        flat = pixels_px.reshape(-1, 2)
+        parts = [flat[k : k + PIXELS_AT_ONCE] for k in range(0, len(flat), PIXELS_AT_ONCE)]
+        smooth = np.concatenate([np.zeros(0), *(self._shapes(part) @ self.coefficients for part in parts)])
+        smooth = smooth.reshape(pixels_px.shape[:-1])
+        size_px = np.array([self.width, self.height], float)
+        fine = None if self.pattern is None else self.pattern.at(pixels_px, size_px)
+
+        def error_m(z_m: FloatArray) -> FloatArray:
+            z = np.clip(z_m, self.min_m, self.max_m)
+            out = np.asarray(self._grown(z) * smooth)
+            return out if fine is None else out + fine(z)
+
+        return error_m
 
     def pattern_variance_m2(self, z_m: FloatArray) -> FloatArray:
         """(...), of what is finer than the polynomials, at reported depths (...)."""
@@ -142,10 +168,9 @@ class PolynomialField:
         """(..., k) derivatives of the field by its coefficients, then by p and q."""
         z, T = np.clip(z_m, self.min_m, self.max_m)[..., None], self._shapes(pixels_px)
         pattern, log = (T @ self.coefficients)[..., None], np.log(z / FIELD_AT_M)
-        return np.concatenate([T, pattern * log, pattern * log**2], axis=-1) * self.growth_at(z)
+        return np.concatenate([T, pattern * log, pattern * log**2], axis=-1) * self._grown(z)
 
-    def growth_at(self, z_m: FloatArray) -> FloatArray:
-        """Factor (...) of the field at depths (...) against FIELD_AT_M."""
+    def _grown(self, z_m: FloatArray) -> FloatArray:
         p, q = self.growth
         log = np.log(z_m / FIELD_AT_M)
         return np.asarray(np.exp((p + q * log) * log))
@@ -170,6 +195,13 @@ class GridField:
 
     def error_m(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:
         """field (...), metres, at pixels (..., 2) of the depth image and reported depths (...)."""
+        return self.at(pixels_px)(z_m)
+
+    def at(self, pixels_px: FloatArray) -> ErrorOfDepth:
+        """The field at pixels (..., 2) as a function of the reported depths there."""
+        return lambda z_m: self._interpolated(pixels_px, z_m)
+
+    def _interpolated(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:
         axes = self.u_px, self.v_px, self.z_m
         at = np.concatenate([pixels_px, np.asarray(z_m, float)[..., None]], axis=-1)
         held = np.clip(at, [a[0] for a in axes], [a[-1] for a in axes])

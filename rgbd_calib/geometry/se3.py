@@ -30,6 +30,11 @@ def retract(T_a_b: FloatArray, xi: FloatArray) -> FloatArray:
     return make(so3.exp(xi[..., :3]), xi[..., 3:]) @ T_a_b
 
 
+def by_motion(p: FloatArray) -> FloatArray:
+    """Derivative (..., 3, 6) of Exp(phi) p + rho by (phi in rad, rho in m) at zero, of points (..., 3)."""
+    return np.concatenate([-so3.hat(p), np.broadcast_to(np.eye(3), (*p.shape, 3))], axis=-1)
+
+
 def difference(T_a_c: FloatArray, T_a_b: FloatArray) -> FloatArray:
     """xi (..., 6) with ``retract(T_a_b, xi) == T_a_c``, the inverse of :func:`retract`."""
     D = T_a_c @ inverse(T_a_b)

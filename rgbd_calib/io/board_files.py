@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.files import load_yaml
-from rgbd_calib.io.rig import board_in
+from rgbd_calib.io.rig import board_fields
 from rgbd_calib.io.schema_base import parse
 from rgbd_calib.io.schema_parts import BoardModel
 from rgbd_calib.io.tables import short
@@ -37,9 +37,9 @@ def read_board(path: Path) -> Board:
     if "target_type" in data:
         data = {"board": _of_kalibr(path, data)}
     quality = data.get("quality")
-    if isinstance(quality, dict) and (board := board_in(quality, path)) is not None:
-        return board
-    if "target_type" not in data and "board" not in data:
+    if isinstance(quality, dict) and (fields := board_fields(quality)) is not None:
+        data = {"board": fields}
+    elif "board" not in data:
         raise ConfigError(
             f"{path}: a board was expected, {', '.join(map(short, list(data)[:6])) or 'nothing'} was found. Give a file with "
             "`board: {cols: ..., rows: ..., square: ...}`, or Kalibr's target.yaml"

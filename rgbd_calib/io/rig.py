@@ -180,18 +180,23 @@ def board_data(board: Board) -> dict[str, Any]:
     )
 
 
-def board_in(quality: Mapping[str, Any], path: Path = Path("quality of the rig")) -> Board | None:
-    """What :func:`board_data` wrote, in the file `path`; None where there is none, as in a simulation's truth.
+def board_in(quality: Mapping[str, Any]) -> Board | None:
+    """What :func:`board_data` wrote; None where there is none, as in a simulation's truth.
 
     Raises
     ------
-    ConfigError
+    ValueError
         It describes no board.
     """
+    fields = board_fields(quality)
+    return None if fields is None else BoardModel.model_validate(fields).value()
+
+
+def board_fields(quality: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The same as a dataset's `board` has it, unchecked."""
     own = quality.get("board")
     if not isinstance(own, Mapping) or "cols" not in own:
         return None
-    data = {
+    return {
         name.removesuffix("_m"): value for name, value in own.items() if value or name not in ("marker_m", "dictionary")
     }
-    return parse(BoardModel, data, path).value()

@@ -142,7 +142,7 @@ def calibrate(
             quality = {"initialization": steps_of(start), **refinement_quality(refined)}
             residuals = details.residuals_of_refinement(refined, data, views.association.views, board)
             joint = details.joint_of_refinement(refined)
-    found = replace(board, shape=solution.board_shape()) if isinstance(solution, Solution) else board
+    found = replace(board, shape=solution.board_shape) if isinstance(solution, Solution) else board
     placed = pose_by_rig(rig, views.association.views, found, config)
     boards = boards or {p.view.frame: rig.cameras[p.view.camera].T_world_color @ p.T_color_board for p in placed}
     evaluation = against_views(rig, placed, found) if _pairs_with_depth(placed) else None
@@ -253,7 +253,7 @@ def pose_by_rig(rig: Rig, views: Sequence[PlacedView], board: Board, config: Con
         own = rig.cameras[placed.view.camera]
         posed = pose_view(placed.view, board, own.intrinsics, own.depth_bias, config.board_pose)
         flat = replace(placed, T_color_board=posed.T_color_face @ board.T_face_board(placed.back, placed.turned))
-        out.append(flat if board.shape is None else repose(flat, board, own.intrinsics))
+        out.append(repose(flat, board, own.intrinsics))
     return tuple(out)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.camera import Intrinsics
-from rgbd_calib.geometry.depth_image import DepthImage, seen_by
+from rgbd_calib.geometry.depth_image import seen_by
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io import tables
 from rgbd_calib.io.depth_files import NO_MEASUREMENT
@@ -68,35 +68,27 @@ def undistort_map(lens: Intrinsics) -> UndistortMap:
     return UndistortMap(source[..., 0], source[..., 1], inside & unique)
 
 
-class DepthCorrection:
-    """Depth images of one camera as its sensor would have reported them without errors, in the colour camera's geometry."""
+def correct_depth(depth_raw: np.ndarray, scale: float, camera: RigCamera) -> tuple[np.ndarray, int, int]:
+    """Depth (h, w), uint16 in units of `scale`, as the sensor would have reported it without errors, in the colour camera's
+    geometry; and how many pixels were lost and held.
 
-    def __init__(self, camera: RigCamera, width: int, height: int) -> None:
-        self._camera = camera
-        moved = camera.depth_field is not None or camera.depth_camera is not None
-        self._image = DepthImage(camera.depth_sensor, width, height) if moved else None
-
-    def correct(self, depth_raw: np.ndarray, scale: float) -> tuple[np.ndarray, int, int]:
-        """Depth (h, w), uint16 in units of `scale`, corrected; and how many pixels were lost and held.
-
-        Returns
-        -------
-        corrected, lost, held
-            Rounded to the unit. Lost: not in 1 ... 65535 any more, set to 0. Held: outside the range of the data.
-        """
-        bias, measured, z_m = self._camera.depth_bias, depth_raw > 0, depth_raw * scale
-        if self._image is not None:
-            points = self._image.points(np.where(measured, z_m, np.nan))
-            true_m = seen_by(points, self._camera.intrinsics)
-        elif bias is not None:
-            true_m = np.where(measured, bias.correct(z_m), np.nan)
-        else:
-            return depth_raw, 0, 0
-        units = np.rint(np.nan_to_num(true_m) / scale)
-        fits = (units >= 1) & (units <= np.iinfo(np.uint16).max)
-        held = measured & ((z_m < bias.min_m) | (z_m > bias.max_m)) if bias is not None else measured & False
-        lost = int(np.count_nonzero(np.isfinite(true_m) & ~fits))
-        return np.where(fits, units, 0).astype(np.uint16), lost, int(np.count_nonzero(held))
+    Returns
+    -------
+    corrected, lost, held
+        Rounded to the unit. Lost: not in 1 ... 65535 any more, set to 0. Held: outside the range of the data.
+    """
+    bias, measured, z_m = camera.depth_bias, depth_raw > 0, depth_raw * scale
+    if camera.depth_field is not None or camera.depth_camera is not None:
+        true_m = seen_by(camera.depth_image.points(np.where(measured, z_m, np.nan)), camera.intrinsics)
+    elif bias is not None:
+        true_m = np.where(measured, bias.correct(z_m), np.nan)
+    else:
+        return depth_raw, 0, 0
+    units = np.rint(np.nan_to_num(true_m) / scale)
+    fits = (units >= 1) & (units <= np.iinfo(np.uint16).max)
+    held = measured & ((z_m < bias.min_m) | (z_m > bias.max_m)) if bias is not None else measured & False
+    lost = int(np.count_nonzero(np.isfinite(true_m) & ~fits))
+    return np.where(fits, units, 0).astype(np.uint16), lost, int(np.count_nonzero(held))
 
 
 @one_blas_thread
@@ -129,7 +121,6 @@ def correct(
         )
         for c in cameras
     }
-    corrections = {c: DepthCorrection(rig.cameras[c], infos[c].width, infos[c].height) for c in cameras}
     maps = {c: undistort_map(rig.cameras[c].intrinsics) if undistort else None for c in cameras}
 
     def do_color(camera: str, frame: str) -> tuple[int, int]:
@@ -146,7 +137,7 @@ def correct(
         info, to = infos[camera], maps[camera]
         units = np.nan_to_num(np.rint(recording.depth_m(camera, frame) / info.depth_scale))
         depth_raw = np.where(units < NO_MEASUREMENT, units, 0).astype(np.uint16)
-        corrected, lost, held = corrections[camera].correct(depth_raw, info.depth_scale)
+        corrected, lost, held = correct_depth(depth_raw, info.depth_scale, rig.cameras[camera])
         save_depth(out, camera, frame, corrected if to is None else _nearest(corrected, to))
         return lost, held
 

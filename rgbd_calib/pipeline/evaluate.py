@@ -187,7 +187,7 @@ def place_views(
     posed = [pose_view(v, board, lenses[v.camera], biases.get(v.camera), config.board_pose) for v in filtered.views]
     T_world_color = {name: rig.cameras[name].T_world_color for name in cameras}
     placed = label_views(posed, board, T_world_color, config.association)[0]
-    return tuple(placed) if board.shape is None else tuple(repose(p, board, lenses[p.view.camera]) for p in placed)
+    return tuple(repose(p, board, lenses[p.view.camera]) for p in placed)
 
 
 def _numbers(distance_m: FloatArray, transfer_px: FloatArray) -> dict[str, float]:

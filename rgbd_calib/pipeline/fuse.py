@@ -10,7 +10,6 @@ import numpy as np
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.blas import one_blas_thread
-from rgbd_calib.geometry.depth_image import DepthImage
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import whole_file
 from rgbd_calib.io.recording import Recording
@@ -119,8 +118,7 @@ def _cloud(recording: Recording, rig: Rig, name: str, frame: str, params: FusePa
     depth_m = recording.depth_m(name, frame)
     measured = np.isfinite(depth_m)
     jump = on_jump(depth_m, params.jump)
-    height, width = depth_m.shape
-    p_color = DepthImage(camera.depth_sensor, width, height).points(depth_m)
+    p_color = camera.depth_image.points(depth_m)
     lost = measured & ~np.isfinite(p_color).all(axis=-1)
     far = measured & ~jump & (p_color[..., 2] > params.max_depth_m)
     kept = measured & ~jump & ~far & ~lost

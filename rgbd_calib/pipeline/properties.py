@@ -6,7 +6,6 @@ import numpy as np
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.depth_error import PolynomialField
-from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.solution import Solution
 
 AT_M = 2.0
@@ -36,7 +35,7 @@ def _of_board(solved: Solution) -> list[str]:
             out.append(
                 f"The print's axes are {np.degrees(2 * shear):+.3f}° (± {np.degrees(2 * sd[1]):.3f}°) from square; corrected"
             )
-    shape = solved.board_shape()
+    shape = solved.board_shape
     flat = np.column_stack([shape.front_m[:, :2], np.ones(len(shape.front_m))])
     out_of_plane_m = shape.front_m[:, 2] - flat @ np.linalg.lstsq(flat, shape.front_m[:, 2], rcond=None)[0]
     sd_m = float(np.sqrt(np.mean(shape.front_sd_m[:, 2] ** 2))) if shape.front_sd_m is not None else np.inf
@@ -48,39 +47,31 @@ def _of_board(solved: Solution) -> list[str]:
 
 
 def _of_depth(solved: Solution) -> list[str]:
-    """Registration and field of each camera, in one sentence each."""
+    """Registration and field of all cameras, in one sentence each."""
     beside, fields = [], []
     for name, has_depth in zip(solved.cameras, solved.has_depth, strict=True):
-        lens, camera, field = solved.intrinsics(name), solved.depth_camera(name), solved.depth_field(name)
         if not has_depth:
             continue
+        lens, camera, field = solved.intrinsics(name), solved.depth_camera(name), solved.depth_field(name)
         u, v = np.meshgrid(np.linspace(0, lens.width - 1, GRID), np.linspace(0, lens.height - 1, GRID))
-        pixels = np.column_stack([u.ravel(), v.ravel()])
+        pixels, z_m = np.column_stack([u.ravel(), v.ravel()]), np.full(GRID**2, AT_M)
         if camera is not None:
-            points = lens.unproject(pixels, np.full(len(pixels), AT_M))
-            moved = camera.intrinsics.project(se3.transform(se3.inverse(camera.T_color_depth), points))
+            points = se3.transform(se3.inverse(camera.T_color_depth), lens.unproject(pixels, z_m))
+            moved = camera.intrinsics.project(points) - pixels
+            rms_px = float(np.sqrt(np.nanmean(np.sum(moved**2, axis=1))))
             at = solved.index("registration", name)[:2]
-            sd_px, rms_px = (
-                float(np.sqrt(x)) for x in (np.trace(solved.covariance[np.ix_(at, at)]), _mean_square(moved - pixels))
-            )
-            beside += [f"{name} by {rms_px:.1f} px"] if rms_px > CLEAR * sd_px else []
+            if rms_px > CLEAR * np.sqrt(np.trace(solved.covariance[np.ix_(at, at)])):
+                beside.append(f"{name} by {rms_px:.1f} px")
         if isinstance(field, PolynomialField) and field.covariance is not None:
-            error_m = field.error_m(pixels, np.full(len(pixels), AT_M))
-            J = field.by_parameters(pixels, np.full(len(pixels), AT_M))
-            sd_m, rms_m = (
-                np.sqrt(np.mean(np.einsum("np,pq,nq->n", J, field.covariance, J))),
-                np.sqrt(np.mean(error_m**2)),
-            )
-            fields += [f"{name} by {1e3 * rms_m:.1f} mm"] if rms_m > CLEAR * sd_m else []
-    out = (
-        [f"Depth is misregistered to colour (RMS over the image at {AT_M:g} m): {', '.join(beside)}; corrected"]
-        if beside
-        else []
-    )
+            J = field.by_parameters(pixels, z_m)
+            rms_m = float(np.sqrt(np.mean(field.error_m(pixels, z_m) ** 2)))
+            if rms_m > CLEAR * np.sqrt(np.mean(np.einsum("np,pq,nq->n", J, field.covariance, J))):
+                fields.append(f"{name} by {1e3 * rms_m:.1f} mm")
+    out = []
+    if beside:
+        out.append(
+            f"Depth is misregistered to colour (RMS over the image at {AT_M:g} m): {', '.join(beside)}; corrected"
+        )
     if fields:
         out.append(f"Depth errs over the image (RMS at {AT_M:g} m, beside its bias): {', '.join(fields)}; corrected")
     return out
-
-
-def _mean_square(shift_px: FloatArray) -> float:
-    return float(np.nanmean(np.sum(shift_px**2, axis=1)))

@@ -24,7 +24,7 @@ from rgbd_calib.pipeline import fuse
 from rgbd_calib.pipeline.rig_inputs import common_cameras
 from rgbd_calib.report import splat
 from rgbd_calib.report.page import Contents, Picture, render
-from rgbd_calib.types import Rig, RigCamera
+from rgbd_calib.types import Board, Rig, RigCamera
 
 VIEWS = {"oblique": "from the side", "top": "from above"}
 EDGE_ON = "the board alone, edge on"
@@ -124,7 +124,8 @@ def _pictures(recording: Recording, rig: Rig, boards: Mapping[str, FloatArray]) 
     frame = _frame(recording, rig, boards)
     params = fuse.FuseParams(max_depth_m=_farthest_m(rig, boards))
     clouds = tuple(fuse.clouds_of(recording, one, frame, params) for one in (before(rig), rig))
-    pictures = [_edge_on(clouds, rig, boards[frame])] if frame in boards and "board" in rig.quality else []
+    board = board_in(rig.quality)
+    pictures = [_edge_on(clouds, rig, board, boards[frame])] if frame in boards and board is not None else []
     focus_m = splat.seen_by_several([cloud.points_m for cloud in clouds[1]])
     pictures += [_part(clouds, rig, view, focus_m) for view in VIEWS]
     how = rig.quality.get("start", {}).get("poses_from")
@@ -173,10 +174,8 @@ def _part(clouds: Clouds, rig: Rig, view: str, focus_m: FloatArray) -> Picture:
     )
 
 
-def _edge_on(clouds: Clouds, rig: Rig, T_world_board: FloatArray) -> Picture:
+def _edge_on(clouds: Clouds, rig: Rig, board: Board, T_world_board: FloatArray) -> Picture:
     """The board of this frame, looked at along its rows of squares: cameras that agree make one line."""
-    board = board_in(rig.quality)
-    assert board is not None
     size_m = np.array([board.cols - 1, board.rows - 1]) * board.square_m
     T_board_world = se3.inverse(T_world_board)
 

@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.rig import board_in
+from rgbd_calib.io.tables import short
 from rgbd_calib.pipeline.detection import board_of
 from rgbd_calib.types import Board, Rig
 
@@ -39,8 +40,20 @@ def common_cameras(recording: Recording, rig: Rig) -> tuple[str, ...]:
 
 
 def board_for(recording: Recording, rig: Rig) -> Board:
-    """The recording's board, with the shape that the rig found of the same board."""
-    board, known = board_of(recording), board_in(rig.quality)
+    """The recording's board, with the shape that the rig found of the same board.
+
+    Raises
+    ------
+    ConfigError
+        The recording has no board, or the rig's is none.
+    """
+    board = board_of(recording)
+    try:
+        known = board_in(rig.quality)
+    except ValueError as error:
+        raise ConfigError(
+            f"{recording.path}: the rig's quality.board describes no board ({short(str(error))}). Take it out, or calibrate again"
+        ) from None
     same = known is not None and replace(known, shape=None) == board
     return known if known is not None and same else board
 

@@ -36,31 +36,29 @@ ROUNDS = 40
 """Of expectation and maximisation."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LocalField(CellPattern):
     """A pattern, and where its estimate stands: from there the next one goes on, since small sizes take many rounds."""
 
-    sizes: FloatArray | None = None
+    sizes: FloatArray
     """(bands, powers, powers), covariance of the pattern's spectrum."""
-    noise: FloatArray | None = None
+    noise: FloatArray
     """(bands,), variance of the spectrum of one wall's error over z^2."""
 
 
-def local_fields(problem: Problem, state: State) -> tuple[CellPattern | None, ...]:
+def local_fields(problem: Problem, state: State) -> tuple[LocalField | None, ...]:
     """The pattern of each camera that the walls show at a state; empty where there are no walls."""
-    walls, found = problem.setup.walls, list[CellPattern | None]()
+    walls, found = problem.setup.walls, list[LocalField | None]()
     if not walls.n:
         return ()
     left_m, sizes_px = problem.wall_residuals(state), problem.setup.sizes_px
     for c, grid in enumerate(walls.grids):
         mine, cells = walls.camera == c, slice(0, int(np.prod(grid)))
         pixels_px, depth_m, seen = (x[mine][:, cells] for x in (walls.pixels_px, walls.depth_m, walls.seen))
-        own_m = left_m[mine][:, cells]
-        if problem.local and (now := problem.local[c]) is not None:
-            own_m = own_m + now.error_m(pixels_px, depth_m, sizes_px[c])
+        own_m, start = left_m[mine][:, cells], problem.local[c] if problem.local else None
+        if start is not None:
+            own_m = own_m + start.error_m(pixels_px, depth_m, sizes_px[c])
         shape = (len(own_m), *grid)
-        before = problem.local[c] if problem.local else None
-        start = before if isinstance(before, LocalField) else None
         found.append(local_field(own_m.reshape(shape), depth_m.reshape(shape), seen.reshape(shape), start))
     return tuple(found)
 
@@ -88,7 +86,7 @@ def local_field(
     count = np.bincount(band.ravel(), minlength=BANDS)
     noise = np.full(BANDS, float(np.mean(q[known] ** 2)))
     sizes = np.eye(len(POWERS)) * noise[:, None, None]
-    if start is not None and start.sizes is not None and start.noise is not None:
+    if start is not None:
         sizes, noise = start.sizes, start.noise
     filled = q
     for _ in range(ROUNDS):
@@ -104,7 +102,7 @@ def local_field(
         values = idctn(mean, axes=(0, 1), norm="ortho")
         filled = np.where(known, q, np.einsum("wp,rcp->wrc", A, values))
     covariance = np.einsum("b,bpq->pq", count / band.size, posterior)
-    return LocalField(POWERS, values.transpose(2, 0, 1), covariance, sizes, noise)
+    return LocalField(POWERS, values.transpose(2, 0, 1), covariance, sizes=sizes, noise=noise)
 
 
 def _rough(q: FloatArray, known: BoolArray) -> FloatArray:

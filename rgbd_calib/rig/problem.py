@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.geometry.depth_error import CellPattern
 from rgbd_calib.geometry.linear import BoolArray, IntArray, NormalEquations, Pattern, Rows, assemble
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig import terms
@@ -35,6 +35,9 @@ from rgbd_calib.rig.observations import Observations
 from rgbd_calib.rig.setup import Setup
 from rgbd_calib.rig.sight import Look, Sight
 from rgbd_calib.rig.weights import Weights
+
+if TYPE_CHECKING:
+    from rgbd_calib.rig.local_field import LocalField
 
 VIEWS_AT_ONCE = 256
 """Views whose derivatives are in memory together: some 10 MB."""
@@ -84,7 +87,7 @@ class Problem:
     blocks: tuple[Block, ...]
     obs: Observations
     weights: Weights
-    local: tuple[CellPattern | None, ...] = ()
+    local: tuple[LocalField | None, ...] = ()
     """By camera, the pattern of its depth that is known between the rounds; empty: none."""
     unit_size: int = 6
 

@@ -155,6 +155,7 @@ class Solution:
         shared = {int(f) for f, s in zip(obs.frame, obs.shared, strict=True) if s}
         return {frame: self.state.boards.T_parent_board[f] for f, frame in enumerate(self.course.frames) if f in shared}
 
+    @cached_property
     def board_shape(self) -> BoardShape:
         """Where the board's corners were found to be, with standard deviations."""
         problem, M = self.problem, self.problem.setup.board.n_corners
@@ -164,7 +165,7 @@ class Solution:
         at = np.concatenate([np.zeros(0, int), *(problem.index(b.name) for b in blocks)])
         C = self.covariance[np.ix_(at, at)]
         for axis in range(3):
-            own = (b.by_parameters()[:, :, axis].reshape(2 * M, -1) for b in blocks)
+            own = (b.table()[:, :, axis].reshape(2 * M, -1) for b in blocks)
             J = np.concatenate([np.zeros((2 * M, 0)), *own], axis=1)
             variance[:, :, axis] = np.einsum("kp,pq,kq->k", J, C, J).reshape(2, M)
         sd_m = np.sqrt(np.maximum(variance, 0.0))

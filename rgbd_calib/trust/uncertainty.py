@@ -28,7 +28,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from scipy.special import elliprg
 
-from rgbd_calib.geometry import camera, se3, so3
+from rgbd_calib.geometry import camera, se3
 from rgbd_calib.geometry.depth_error import PolynomialField
 from rgbd_calib.geometry.linear import IntArray
 from rgbd_calib.geometry.so3 import FloatArray
@@ -174,7 +174,7 @@ def place_derivatives(rig: Rig, name: str, observed: Observed) -> dict[str, Floa
     T = own.T_world_color
     p = own.intrinsics.unproject(observed.pixels_px, observed.z_m)
     P = se3.transform(T, p)
-    out = {"pose": np.concatenate([-so3.hat(P), np.broadcast_to(np.eye(3), (len(P), 3, 3))], axis=-1)}
+    out = {"pose": se3.by_motion(P)}
     ok = np.isfinite(p).all(axis=1) & (p[:, 2] > 0)
     _, by_point, by_lens = camera.project_jacobian(
         own.intrinsics.vector, np.where(ok[:, None], p, [0.0, 0.0, 1.0]), own.intrinsics.model

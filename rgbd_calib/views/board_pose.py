@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError
-from rgbd_calib.geometry import camera, resection, se3, so3
+from rgbd_calib.geometry import camera, resection, se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import Board, BoardView, DepthBias, PlacedView, PosedView
@@ -60,15 +60,16 @@ def pose_view(
 def repose(placed: PlacedView, board: Board, intrinsics: Intrinsics) -> PlacedView:
     """The same view, its board posed by its pixels with the corners where the board's shape has them, by Gauss and Newton.
 
-    A homography takes a flat print; which sheet's shape it is, is known of a placed view only.
+    A homography takes a flat print; which sheet's shape it is, is known of a placed view only. A board of no known shape stays.
     """
+    if board.shape is None:
+        return placed
     corners_m, T = placed.points_m(board), placed.T_color_board
     for _ in range(SHAPE_STEPS):
         p = se3.transform(T, corners_m)
         pixels, by_point, _ = camera.project_jacobian(intrinsics.vector, p, intrinsics.model)
-        by_motion = np.concatenate([-so3.hat(p), np.broadcast_to(np.eye(3), (len(p), 3, 3))], axis=-1)
-        J, left = (by_point @ by_motion).reshape(-1, 6), (placed.view.corners_px - pixels).ravel()
-        T = se3.retract(T, np.linalg.lstsq(J, left, rcond=None)[0])
+        J, left = (by_point @ se3.by_motion(p)).reshape(-1, 6), (placed.view.corners_px - pixels).ravel()
+        T = se3.retract(T, np.asarray(np.linalg.lstsq(J, left, rcond=None)[0]))
     return replace(placed, T_color_board=T) if np.isfinite(T).all() else placed
 
 

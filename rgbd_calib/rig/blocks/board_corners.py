@@ -57,9 +57,6 @@ class CornerOffsets(PointBlock, BoardShapeBlock):
         return np.asarray(np.linalg.qr(both.reshape(-1, 6))[0])
 
     def table(self) -> FloatArray:
-        raise NotImplementedError  # a corner depends on its own offset alone
-
-    def by_parameters(self) -> FloatArray:
         M = self.setup.board.n_corners
         out = np.zeros((2, M, 3, self.size))
         face, corner, axis = np.indices((self._faces, M, 2)).reshape(3, -1)

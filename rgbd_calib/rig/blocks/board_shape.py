@@ -33,10 +33,6 @@ class BoardShapeBlock(Block):
     def _table(self) -> FloatArray:
         return self.table()
 
-    def by_parameters(self) -> FloatArray:
-        """(2, M, 3, n): the same, for any of these blocks."""
-        return self._table
-
     def shift_m(self, value: FloatArray) -> FloatArray:
         """(2, M, 3), metres."""
         return np.asarray(self._table @ value[0])

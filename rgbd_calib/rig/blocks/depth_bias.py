@@ -10,12 +10,12 @@ from numpy.polynomial import polynomial
 from rgbd_calib.geometry.linear import symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import BlockPrior, Fault
-from rgbd_calib.rig.blocks.depth_error import DepthErrorBlock
+from rgbd_calib.rig.blocks.depth_error import LinearDepthErrorBlock
 from rgbd_calib.rig.setup import N_WEAK_BIAS, BundleParams
 from rgbd_calib.types import DepthBias
 
 
-class DepthBiasBlock(DepthErrorBlock):
+class DepthBiasBlock(LinearDepthErrorBlock):
     """c0, c1, ... of each camera, (C, the longest)."""
 
     name = "depth bias"

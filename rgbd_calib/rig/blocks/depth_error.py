@@ -12,10 +12,33 @@ from rgbd_calib.rig.sight import Look
 
 
 class DepthErrorBlock(Block):
-    """Parameters (C, n) of a correction of the reported depth, that of a camera linear in them where nothing else is said."""
+    """Parameters (C, n) of a correction of the reported depth."""
 
     scope = Scope.CAMERA
     kinds = frozenset({Kind.DEPTH, Kind.WALL})
+
+    @abstractmethod
+    def error(
+        self, camera: int, own: FloatArray, pixels_px: FloatArray, depth_m: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """True less reported depth (...), metres, by the camera's parameters (n,), and its slope (...), at pixels (..., 2) of
+        the depth image and reported depths (...), metres."""
+
+    @abstractmethod
+    def by_parameters(
+        self, camera: int, own: FloatArray, pixels_px: FloatArray, depth_m: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Derivatives (..., n) of the error, and of its slope, by the parameters (n,)."""
+
+    def derivative(self, look: Look) -> FloatArray:
+        assert look.slope is not None  # rows of depth have it
+        own = look.values.get(self.name, np.zeros(self.n))
+        by_own, slope_by_own = self.by_parameters(look.camera, own, look.pixels_px, look.depth_m)
+        return np.asarray(-((by_own + look.left * slope_by_own) / look.slope[..., None])[..., None, :])
+
+
+class LinearDepthErrorBlock(DepthErrorBlock):
+    """A correction that is linear in its parameters."""
 
     @abstractmethod
     def basis(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -25,18 +48,10 @@ class DepthErrorBlock(Block):
     def error(
         self, camera: int, own: FloatArray, pixels_px: FloatArray, depth_m: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """True less reported depth (...), metres, by the camera's parameters (n,), and its slope (...)."""
         basis, slope = self.basis(camera, pixels_px, depth_m)
         return basis @ own, slope @ own
 
     def by_parameters(
         self, camera: int, own: FloatArray, pixels_px: FloatArray, depth_m: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Derivatives (..., n) of the error, and of its slope, by the parameters (n,)."""
         return self.basis(camera, pixels_px, depth_m)
-
-    def derivative(self, look: Look) -> FloatArray:
-        assert look.slope is not None  # rows of depth have it
-        own = look.values.get(self.name, np.zeros(self.n))
-        by_own, slope_by_own = self.by_parameters(look.camera, own, look.pixels_px, look.depth_m)
-        return np.asarray(-((by_own + look.left * slope_by_own) / look.slope[..., None])[..., None, :])

@@ -63,9 +63,6 @@ class DepthField(DepthErrorBlock):
         assumed = np.zeros(self.size, bool)
         return BlockPrior(mean.ravel(), np.diag(information.ravel()), free.ravel(), assumed, tuple(components))
 
-    def basis(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        raise NotImplementedError  # the error is not linear in p and q
-
     def error(
         self, camera: int, own: FloatArray, pixels_px: FloatArray, depth_m: FloatArray
     ) -> tuple[FloatArray, FloatArray]:

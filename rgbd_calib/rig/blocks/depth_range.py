@@ -9,12 +9,12 @@ from numpy.polynomial import legendre
 
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import Fault
-from rgbd_calib.rig.blocks.depth_error import DepthErrorBlock
+from rgbd_calib.rig.blocks.depth_error import LinearDepthErrorBlock
 
 DEGREE = 5
 
 
-class DepthRange(DepthErrorBlock):
+class DepthRange(LinearDepthErrorBlock):
     """Coefficients of Legendre polynomials of the second degree on, over the camera's depths."""
 
     name = "depth range"

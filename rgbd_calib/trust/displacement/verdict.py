@@ -104,7 +104,7 @@ def _pair(poses: CameraPoses, a: str, b: str, params: VerdictParams) -> PairErro
     X = _places(poses, a, b)
     places = [se3.transform(poses.before[name] @ se3.inverse(poses.T_world_color[name]), X) for name in (a, b)]
     square = float(np.mean(np.sum((places[0] - places[1]) ** 2, axis=1)))
-    J = np.concatenate([-so3.hat(X), np.broadcast_to(np.eye(3), (len(X), 3, 3))], axis=2)
+    J = se3.by_motion(X)
     M = np.einsum("nij,nik->jk", J, J) / len(X)
     i, j = (6 * poses.cameras.index(name) for name in (a, b))
     C = poses.covariance

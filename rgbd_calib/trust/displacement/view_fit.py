@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rgbd_calib.geometry import camera, se3, so3
+from rgbd_calib.geometry import camera, se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.depth_sensor import DepthSensor
 from rgbd_calib.geometry.so3 import FloatArray
@@ -70,7 +70,7 @@ def fit_view(placed: PlacedView, board: Board, intrinsics: Intrinsics, sensor: D
     for _ in range(_ITERATIONS):
         p = se3.transform(T, points)
         pixels, d_point, _ = camera.project_jacobian(intrinsics.vector, p, intrinsics.model)
-        d_pose = np.concatenate([-so3.hat(p), np.broadcast_to(np.eye(3), (len(p), 3, 3))], axis=2)
+        d_pose = se3.by_motion(p)
         r2 = (pixels - view.corners_px) / noise.sigma_2d_px
         J2 = np.einsum("nij,njk->nik", d_point, d_pose) / noise.sigma_2d_px
         sigma_z = noise.k_depth_per_m * raw**2

@@ -89,7 +89,7 @@ def check_bundle(
     ----------
     views : all that were found in the rig's recording.
     frames_in_time : its frames in order of time.
-    stated_mm : the expected error that the result states; what is smaller is no news.
+    stated_mm : the expected error that the result states; what is much smaller is no news.
     """
     held = held_blocks(solved.problem)
     eq = equations_of(solved, held, frames_in_time)
@@ -97,8 +97,9 @@ def check_bundle(
     errors, explained = findings_of(eq, tests, params, stated_mm)
     folds = hold_out(eq, params)
     of_folds = held_out_findings(hold_out(explained, params), params, len(tests), stated_mm)
-    dropped = solved.course.dropped
-    blind = [key for key, why in dropped.items() if why.startswith("depth rejected")]
+    dropped, used = solved.course.dropped, np.any(solved.problem.obs.has_pixel, axis=1).tolist()
+    with_pixels = {(p.view.camera, p.view.frame) for p, v in zip(solved.course.views, used, strict=True) if v}
+    blind = [key for key in dropped if key in with_pixels]
     lost = [*association.dropped, *(key for key in dropped if key not in blind)]
     ratios = ratios_of_bundle(solved, eq, params)
     findings = [

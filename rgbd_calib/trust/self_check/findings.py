@@ -44,8 +44,8 @@ class SelfCheckParams:
     min_group: int = 100
     """Residuals of such a part: the ratio is then known to 7 %."""
     min_votes_share: float = 0.5
-    """Of the common frames of two cameras that must agree on where the two stand: with fewer, most of the recording says
-    that they stand elsewhere."""
+    """Of the common frames of two cameras that must agree on their relative pose: with fewer, most of the recording
+    contradicts it."""
     max_dropped_share: float = 0.3
     """Of a camera's views that may be left out as gross errors: estimates that resist them break down at a half."""
     copies_sigmas: float = 6.0

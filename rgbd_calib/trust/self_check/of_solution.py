@@ -23,8 +23,8 @@ GROUPS = np.concatenate([PIXEL_PARTS, PIXEL_PARTS.max() + 1 + DEPTH_PARTS])
 
 def held_blocks(problem: Problem) -> tuple[Block, ...]:
     """What the problem holds at zero: always, or because it was asked to."""
-    made = (block(problem.setup) for block in (*HELD, *ESTIMATED) if block.name not in problem.parts)
-    return tuple(block for block in made if block.held is not None)
+    held = [block for block in (*HELD, *ESTIMATED) if block.held is not None and block.name not in problem.parts]
+    return tuple(block(problem.setup) for block in held)
 
 
 def equations_of(solution: Solution, held: Sequence[Block], frames: Sequence[str]) -> Equations:
