@@ -55,6 +55,7 @@ HARMLESS = (
     "symmetric board, upside down in one camera always",
     "time stamps of one camera wrong by 0.2 s",
     "one camera without depth",
+    "depth of one camera 10 px beside its colour",
 )
 """The result is right, and nothing is said."""
 
