@@ -120,6 +120,8 @@ class BoardView:
     """(n,), metres along the optical axis as measured, NaN where there is none."""
     depth_pixels: IntArray
     """(n,), how many depth pixels each value rests on, 0 where there is none."""
+    predicted: bool = False
+    """The corners were not seen in this image: `corners_px` says where its depth was read, by the board's pose in another."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import synthetic_views as sv
 from test_bundle import NOISE, draw, solved
 
 from rgbd_calib.geometry import se3
+from rgbd_calib.rig.setup import BundleParams
 from rgbd_calib.types import PlacedView
 
 
@@ -29,7 +30,7 @@ def test_what_depths_share_is_found_and_counted(ripple: bool) -> None:
         views = draw(rig, board, 15, rng)
         phases = {name: rng.uniform(0, 2 * np.pi) for name in rig.cameras}
         views = [rippled(view, phases[view.view.camera]) for view in views] if ripple else views
-        result = solved(rig, views, board, rng)
+        result = solved(rig, views, board, rng, BundleParams(hold=("depth range",)))  # which would follow it
         tau.append(result.common.depth)
         at = result.index("pose", "C2")
         xi = se3.difference(rig.cameras["C2"].T_world_color, result.state.T_world_color[1])
@@ -48,3 +49,19 @@ def test_what_depths_share_is_found_and_counted(ripple: bool) -> None:
     else:
         # 48 cells of n = 34 corners: tau^2 has the standard error sqrt(2 / 48) / 34 = 0.006, 4 of them
         assert max(tau) < np.sqrt(4 * 0.006)
+
+
+def test_a_ripple_over_the_range_is_followed() -> None:
+    rng = np.random.default_rng(0)
+    rig, board = sv.ring(2, biased=True), sv.TWO_SIDED
+    views = [rippled(view, 0.3) for view in draw(rig, board, 30, rng)]
+    result = solved(rig, views, board, rng)
+    bias = result.depth_bias("C1")
+    assert bias is not None
+    z_m = np.concatenate([p.view.depth_m for p in views if p.view.camera == "C1"])
+    z_m = z_m[np.isfinite(z_m)]
+    without = replace(bias, ripple_m=(), covariance=None)
+    ripple = -2 * np.sqrt(2) * NOISE.k_depth_per_m * z_m**2 * np.sin(2 * np.pi * z_m / 0.5 + 0.3)
+    left = ripple - (bias.error_m(z_m) - without.error_m(z_m))
+    # half of the waves' variance at least: the depths of 30 boards leave gaps, and the noise is half as large as the ripple
+    assert np.var(left) < 0.5 * np.var(ripple)

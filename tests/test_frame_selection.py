@@ -32,7 +32,7 @@ def whole(long):
     config = load_config(None)
     recording = open_recording(long.path)
     views = prepare_views(recording, config, long.intrinsics, long.depth_bias, Detections(tuple(long.views), ()))
-    priors = frame_selection.bundle_priors(views.lenses, views.depth, recording.cameras)
+    priors = frame_selection.bundle_priors(views.lenses, views.depth, recording, config.bundle)
     return views, priors
 
 

@@ -57,6 +57,9 @@ class SeenWall:
     distance_m: float
     sd_m: float
     cells: WallCells
+    tilt: tuple[float, float] = (0.0, 0.0)
+    """a, b of its plane z = D / (1 - a x - b y), as it is thought to stand: not zero where the camera is turned against the
+    one that the wall is square to."""
 
 
 CELLS_ACROSS = 40

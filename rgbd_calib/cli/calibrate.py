@@ -154,6 +154,7 @@ def command(
     from rgbd_calib.io.residuals import write_result
     from rgbd_calib.pipeline.calibrate import calibrate, reference_of
     from rgbd_calib.pipeline.config import load_config
+    from rgbd_calib.pipeline.depth_cameras import split
     from rgbd_calib.pipeline.detection import detections_from
     from rgbd_calib.pipeline.prepare import check_sources, check_together
     from rgbd_calib.pipeline.world import in_world
@@ -181,6 +182,7 @@ def command(
             "Leave them out, or choose another --method"
         )
     reference_of(settings, list(opened.cameras))
+    opened = split(opened)
     check_together(opened)
     check_sources(opened, intrinsics, depth_bias)
     found = detections_from(opened, corners, settings.detect, workers, progress)

@@ -23,37 +23,60 @@ from scipy.ndimage import map_coordinates
 
 from rgbd_calib.geometry.so3 import FloatArray
 
+RIPPLE_FROM = 4
+"""Degree from which on what the depth errs by along the range is no bias, but goes up and down."""
 ErrorOfDepth = Callable[[FloatArray], FloatArray]
 """True less reported depth, metres, of reported depths at given pixels, both (...)."""
 
 
 @dataclass(frozen=True)
 class DepthBias:
-    """z_true = z + c0 + c1 z + c2 z^2 + ..., z in metres, fitted on [min_m, max_m] and held at the ends outside."""
+    """z_true = z + c0 + c1 z + c2 z^2 + ... + sum_d r_d P_d(t), z in metres, fitted on [min_m, max_m] and held at the ends outside.
+
+    P_d are Legendre's polynomials of the degrees from RIPPLE_FROM on, t goes from -1 to 1 over the range.
+    """
 
     coefficients: tuple[float, ...]
     min_m: float
     max_m: float
     rms_m: float
     covariance: FloatArray | None = None
-    """(k, k) of the coefficients, where it is known."""
+    """(k, k) of the coefficients, then of the ripple, where it is known."""
+    ripple_m: tuple[float, ...] = ()
+    """r_d, metres: what goes up and down along the range."""
 
-    def error_m(self, z_m: FloatArray) -> FloatArray:
-        """z_true - z, metres, same shape as `z_m`."""
-        return np.asarray(polynomial.polyval(np.clip(z_m, self.min_m, self.max_m), np.array(self.coefficients)))
+    along_ray: bool = False
+    """The ripple is of the distance along the pixel's ray, as time of flight has it, and not of z."""
 
-    def correct(self, z_m: FloatArray) -> FloatArray:
+    def error_m(self, z_m: FloatArray, stretch: FloatArray | float = 1.0) -> FloatArray:
+        """z_true - z, metres, same shape as `z_m`; `stretch` is the length of the pixels' rays (x, y, 1)."""
+        out = polynomial.polyval(np.clip(z_m, self.min_m, self.max_m), np.array(self.coefficients))
+        if any(self.ripple_m):
+            out = out + self._ripple(z_m, stretch) @ np.array(self.ripple_m)
+        return np.asarray(out)
+
+    def by_parameters(self, z_m: FloatArray, stretch: FloatArray | float = 1.0) -> FloatArray:
+        """Derivatives (..., k) of the error by the coefficients, then by the ripple."""
+        powers = polynomial.polyvander(np.clip(z_m, self.min_m, self.max_m), len(self.coefficients) - 1)
+        return np.asarray(np.concatenate([powers, self._ripple(z_m, stretch)], axis=-1) if self.ripple_m else powers)
+
+    def _ripple(self, z_m: FloatArray, stretch: FloatArray | float) -> FloatArray:
+        """(..., k)."""
+        s = np.asarray(stretch if self.along_ray else 1.0)
+        t = 2 * (np.clip(z_m * s, self.min_m, self.max_m) - self.min_m) / (self.max_m - self.min_m) - 1
+        return legendre.legvander(t, RIPPLE_FROM + len(self.ripple_m) - 1)[..., RIPPLE_FROM:] / s[..., None]
+
+    def correct(self, z_m: FloatArray, stretch: FloatArray | float = 1.0) -> FloatArray:
         """Depth with the bias removed, metres, same shape as `z_m`."""
         z_m = np.asarray(z_m, float)
-        return z_m + self.error_m(z_m)
+        return z_m + self.error_m(z_m, stretch)
 
     def standard_error(self, z_m: FloatArray) -> FloatArray:
         """One sigma of the correction at z_m, metres, same shape; needs the covariance."""
         if self.covariance is None:
             raise ValueError("this depth bias has no covariance")
-        z_m = np.asarray(z_m, float)
-        V = polynomial.polyvander(np.clip(z_m, self.min_m, self.max_m), len(self.coefficients) - 1)
-        return np.sqrt(np.einsum("...i,ij,...j->...", V, self.covariance, V)).reshape(z_m.shape)
+        V = self.by_parameters(z_m)
+        return np.sqrt(np.einsum("...i,ij,...j->...", V, self.covariance, V)).reshape(np.shape(z_m))
 
 
 def n_terms(degree: int) -> int:

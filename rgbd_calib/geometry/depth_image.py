@@ -24,12 +24,13 @@ class DepthImage:
         u, v = np.meshgrid(np.arange(lens.width, dtype=float), np.arange(lens.height, dtype=float))
         pixels = np.stack([u, v], axis=-1)
         self._sensor, self._rays = sensor, lens.rays(pixels)
+        self._stretch = np.linalg.norm(self._rays, axis=-1)
         self._field = None if sensor.field is None else sensor.field.at(pixels)
 
     def points(self, depth_m: FloatArray) -> FloatArray:
         """Points (height, width, 3), metres, in the colour camera's frame; NaN without depth, or beyond the lens model."""
         bias = self._sensor.bias
-        z_m = depth_m if bias is None else bias.correct(depth_m)
+        z_m = depth_m if bias is None else bias.correct(depth_m, self._stretch)
         z_m = z_m if self._field is None else z_m + self._field(depth_m)
         return se3.transform(self._sensor.camera.T_color_depth, z_m[..., None] * self._rays)
 

@@ -44,7 +44,10 @@ class DepthSensor:
     def correct(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:
         """True depth (...), metres, along the depth camera's axis, of reported depths (...) at pixels (..., 2)."""
         z_m = np.asarray(z_m, float)
-        out = z_m if self.bias is None else z_m + self.bias.error_m(z_m)
+        out = z_m
+        if self.bias is not None:
+            stretch = np.linalg.norm(self.camera.intrinsics.rays(pixels_px), axis=-1) if self.bias.along_ray else 1.0
+            out = self.bias.correct(z_m, stretch)
         return out if self.field is None else out + self.field.error_m(pixels_px, z_m)
 
     def points(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:

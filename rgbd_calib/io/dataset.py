@@ -19,6 +19,9 @@ from rgbd_calib.io.schema_base import DepthUnit, Finite, Matrix4, Name, Side, St
 from rgbd_calib.io.schema_parts import BoardModel, IntrinsicsModel
 from rgbd_calib.types import Board, DepthCamera
 
+SensorKind = Literal["structured_light", "stereo", "time_of_flight"]
+TOF_SIZES = {(512, 424), (640, 576), (320, 288), (512, 512), (1024, 1024)}
+"""Of the depth images of Kinect v2, Azure Kinect and Femto, not registered to colour; no other sensors have these."""
 MAX_BASELINE_M = 1.0
 """Between a camera's colour and depth sensors; 0.05 m in the devices that are sold."""
 
@@ -64,6 +67,17 @@ def scaled(lens: Intrinsics, width: int, height: int) -> Intrinsics:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Mount:
+    """Of a depth camera that is taken for a camera of its own: the colour camera beside it."""
+
+    camera: str
+    T_color_depth: FloatArray | None
+    """(4, 4), p_color = T_color_depth @ p_depth, metres, as it was stated; None: unknown."""
+    intrinsics_sd: tuple[float, ...] | None = None
+    """Standard deviations of the intrinsics, where they are stated."""
+
+
 @dataclass(frozen=True)
 class CameraInfo:
     """What dataset.yaml says of a camera; `depth_scale` is metres for each unit of its 16-bit depth images."""
@@ -81,6 +95,17 @@ class CameraInfo:
     """Metres for each unit of its floating-point depth images."""
     depth_stated: bool = False
     """dataset.yaml gives it a depth scale or a depth block, so that depth images are expected."""
+    kind: SensorKind | None = None
+    """How it measures depth, where that is known."""
+    mount: Mount | None = None
+    """None: a colour camera. Else its "colour" images are infrared ones."""
+
+    @property
+    def time_of_flight(self) -> bool:
+        """Does its depth sensor measure a time of flight, as far as is known?"""
+        own_geometry = self.depth is not None or self.mount is not None
+        by_size = own_geometry and self.depth_size in TOF_SIZES
+        return self.kind == "time_of_flight" or (self.kind is None and by_size)
 
     @property
     def depth_size(self) -> tuple[int, int]:
@@ -143,6 +168,7 @@ class DepthModel(Strict):
     height: Side | None = None
     intrinsics: StartIntrinsicsModel | None = None
     T_color_depth: Matrix4 | None = None
+    kind: SensorKind | None = None
     scale_m: DepthUnit | None = None
     invalid: Annotated[tuple[Finite, ...], Field(max_length=100)] = ()
 
@@ -215,6 +241,7 @@ class DatasetCameraModel(Strict):
             own.invalid,
             own.scale_m or 1.0,
             self.depth_scale is not None or self.depth is not None,
+            own.kind,
         )
 
 
@@ -336,6 +363,8 @@ def _camera_data(info: CameraInfo) -> dict[str, Any]:
             depth["intrinsics"] = IntrinsicsModel.of(info.depth.intrinsics).model_dump() | sd
         if info.depth.T_color_depth is not None:
             depth["T_color_depth"] = info.depth.T_color_depth.tolist()
+    if info.kind is not None:
+        depth["kind"] = info.kind
     if info.invalid:
         depth["invalid"] = [int(v) if v == int(v) else v for v in info.invalid]
     return entry | ({"depth": depth} if depth else {})

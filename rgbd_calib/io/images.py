@@ -23,6 +23,8 @@ _PNG, _JPEG, _NPY = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"\x93NUMPY"
 _TIFF, _BMP, _PNM = (b"II*\0", b"MM\0*"), b"BM", (b"P5", b"P6")
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm")
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".pgm")
+BRIGHTEST = 99.5
+"""Percentile of an infrared image above which it may be white: what reflects, and what is near."""
 
 
 def read_image(path: Path, size: tuple[int, int] | None = None, who: str = "") -> np.ndarray:
@@ -77,6 +79,14 @@ def as_bgr(image: np.ndarray) -> np.ndarray:
     if image.dtype == np.uint8:
         return cv2.cvtColor(image, cv2.COLOR_RGB2BGR if image.shape[2] == 3 else cv2.COLOR_RGBA2BGR)
     return np.ascontiguousarray(image[..., 2::-1])
+
+
+def in_8_bits(image: np.ndarray) -> np.ndarray:
+    """An infrared image (h, w), uint8 or uint16, as uint8: the root of the brightness, which falls as 1 / z^2."""
+    if image.dtype == np.uint8:
+        return image
+    root = np.sqrt(image.astype(np.float32))
+    return np.clip(root * (255 / max(float(np.percentile(root, BRIGHTEST)), 1.0)), 0, 255).astype(np.uint8)
 
 
 def write_image(path: Path, image: np.ndarray) -> None:

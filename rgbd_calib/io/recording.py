@@ -17,7 +17,7 @@ from rgbd_calib.io.dataset import DepthGeometry as DepthGeometry
 from rgbd_calib.io.dataset import read_dataset
 from rgbd_calib.io.dataset import write_dataset as write_dataset
 from rgbd_calib.io.depth_files import depth_in_m, read_depth_raw
-from rgbd_calib.io.images import MAX_BYTES, as_bgr, read_image, write_image
+from rgbd_calib.io.images import MAX_BYTES, as_bgr, in_8_bits, read_image, write_image
 from rgbd_calib.io.layout import FilePatterns, Files, Kind, describe_unused, find_files, find_unused
 from rgbd_calib.io.reading import read_bytes
 from rgbd_calib.io.tables import number, number_or_nan, read_table, short
@@ -103,6 +103,8 @@ class Recording:
         """
         path = self.color_files[camera][frame]
         info = self.cameras[camera]
+        if info.mount is not None:
+            return as_bgr(in_8_bits(self._infrared(path, (info.width, info.height))))
         image = read_image(path, (info.width, info.height), "dataset.yaml says")
         if image.dtype != np.uint8:
             raise ConfigError(
@@ -150,8 +152,10 @@ class Recording:
         ConfigError
             The file is damaged, has several channels, or is of another size than the camera's depth.
         """
-        path, info = self.ir_files[camera][frame], self.cameras[camera]
-        image = read_image(path, info.depth_size, "depth has")
+        return self._infrared(self.ir_files[camera][frame], self.cameras[camera].depth_size)
+
+    def _infrared(self, path: Path, size: tuple[int, int]) -> np.ndarray:
+        image = read_image(path, size, "depth has")
         if image.ndim == 3 and image.dtype == np.uint8 and np.array_equal(image[..., 0], image[..., 1]):
             image = image[..., 0]  # grey, saved as colour
         if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
@@ -163,7 +167,7 @@ class Recording:
     def distances_m(self, camera: str) -> dict[str, tuple[float, float | None]]:
         """Wall distances by frame from distances.csv and their standard deviations, metres, None where none is stated; empty
         where there is no such file."""
-        path = self.path / camera / "distances.csv"
+        path = self._folder(camera) / "distances.csv"
         if not path.exists():
             return {}
         out: dict[str, tuple[float, float | None]] = {}
@@ -178,7 +182,7 @@ class Recording:
 
     def timestamps_us(self, camera: str) -> dict[str, tuple[float, float]]:
         """(colour, depth) time stamps by frame from timestamps.csv, microseconds; NaN where one is missing."""
-        path = self.path / camera / "timestamps.csv"
+        path = self._folder(camera) / "timestamps.csv"
         if not path.exists():
             return {}
         out: dict[str, tuple[float, float]] = {}
@@ -186,6 +190,10 @@ class Recording:
             color_us, depth_us = (number_or_nan(path, line, key, row[key]) for key in ("color_us", "depth_us"))
             _add_once(out, path, line, row["frame"], (color_us, depth_us))
         return out
+
+    def _folder(self, camera: str) -> Path:
+        mount = self.cameras[camera].mount
+        return self.path / (camera if mount is None else mount.camera)
 
     def digest(self) -> str:
         """SHA-256 over names and contents of dataset.yaml and all images: says which recording a result is from."""

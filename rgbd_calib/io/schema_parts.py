@@ -62,11 +62,17 @@ class IntrinsicsModel(Strict):
 
 
 class DepthBiasModel(Model):
-    """z_true = z + c0 + c1 z + c2 z^2 + ..., metres, on [min_m, max_m]; held at the ends outside."""
+    """z_true = z + c0 + c1 z + c2 z^2 + ... + r4 P4(t) + r5 P5(t) + ..., metres, on [min_m, max_m]; held at the ends outside.
+
+    P4, P5, ... are Legendre's polynomials; t goes from -1 at min_m to 1 at max_m.
+    """
 
     coefficients: Annotated[list[Finite], Field(min_length=1, max_length=8)]
     min_m: Finite
     max_m: Finite
+    ripple_m: Annotated[list[Finite], Field(max_length=30)] = Field(default_factory=list)
+    along_ray: bool = False
+    """t is of the distance along the pixel's ray, in place of z."""
     rms_m: Finite = 0.0
     covariance: list[list[Finite]] | None = None
 
@@ -74,7 +80,7 @@ class DepthBiasModel(Model):
     def _range(self) -> DepthBiasModel:
         if not self.min_m < self.max_m:
             raise ValueError(f"min_m {self.min_m} is not below max_m {self.max_m}")
-        n = len(self.coefficients)
+        n = len(self.coefficients) + len(self.ripple_m)
         if self.covariance is not None and [len(row) for row in self.covariance] != [n] * n:
             raise ValueError(f"covariance is not {n} x {n}, one row for each coefficient")
         return self
@@ -84,6 +90,8 @@ class DepthBiasModel(Model):
         covariance = None if bias.covariance is None else bias.covariance.tolist()
         return cls(
             coefficients=list(bias.coefficients),
+            ripple_m=list(bias.ripple_m),
+            along_ray=bias.along_ray,
             min_m=bias.min_m,
             max_m=bias.max_m,
             rms_m=bias.rms_m,
@@ -92,7 +100,10 @@ class DepthBiasModel(Model):
 
     def value(self) -> DepthBias:
         covariance = None if self.covariance is None else np.array(self.covariance)
-        return DepthBias(tuple(self.coefficients), self.min_m, self.max_m, self.rms_m, covariance)
+        ripple_m = tuple(self.ripple_m)
+        return DepthBias(
+            tuple(self.coefficients), self.min_m, self.max_m, self.rms_m, covariance, ripple_m, self.along_ray
+        )
 
 
 class CellPatternModel(Model):

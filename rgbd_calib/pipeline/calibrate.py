@@ -19,8 +19,9 @@ from rgbd_calib.io.files import plain
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.residuals import Residuals
 from rgbd_calib.io.rig import board_data
-from rgbd_calib.pipeline import details, frame_selection
+from rgbd_calib.pipeline import depth_cameras, details, frame_selection
 from rgbd_calib.pipeline.config import Config, as_plain
+from rgbd_calib.pipeline.depth_cameras import split
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.pipeline.evaluate import Evaluation, against_views
 from rgbd_calib.pipeline.prepare import (
@@ -41,7 +42,7 @@ from rgbd_calib.rig.observations import Walls
 from rgbd_calib.rig.solution import Solution
 from rgbd_calib.trust.self_check import calibration as self_check
 from rgbd_calib.trust.uncertainty import JointCovariance
-from rgbd_calib.types import Board, BoardView, Correspondences, PlacedView, Rig, RigCamera
+from rgbd_calib.types import Board, BoardView, Correspondences, DepthBias, PlacedView, PosedView, Rig, RigCamera
 from rgbd_calib.views.association import AssociationResult, associate
 from rgbd_calib.views.board_pose import pose_view, repose
 from rgbd_calib.views.correspondence import correspond
@@ -110,7 +111,7 @@ def calibrate(
     ConfigError, CalibrationError
         See the stages.
     """
-    board = board_of(recording)
+    board, recording = board_of(recording), split(recording)
     views = prepare_views(
         recording, config, intrinsics, depth_bias, detections, workers, progress, intrinsic_detections
     )
@@ -144,6 +145,7 @@ def calibrate(
             joint = details.joint_of_refinement(refined)
     found = replace(board, shape=solution.board_shape) if isinstance(solution, Solution) else board
     placed = pose_by_rig(rig, views.association.views, found, config)
+    placed = depth_cameras.at_the_corners(placed, rig, recording.cameras, found)
     boards = boards or {p.view.frame: rig.cameras[p.view.camera].T_world_color @ p.T_color_board for p in placed}
     evaluation = against_views(rig, placed, found) if _pairs_with_depth(placed) else None
     residuals = residuals or details.residuals_of_rig(rig, placed, boards, board)
@@ -175,6 +177,7 @@ def calibrate(
         "intrinsics": views.lenses.origin,
         "depth_bias": views.depth.origin,
     }
+    rig = depth_cameras.joined(rig, recording.cameras, joint)
     rig = replace(rig, quality={"method": config.method, **plain(quality)}, provenance=provenance)
     return Calibration(rig, views, placed, data, boards, residuals, joint, evaluation)
 
@@ -192,7 +195,7 @@ def prepare_views(
     """Detect, filter, and decide which corner is which."""
     board = board_of(recording)
     cameras = list(recording.cameras)
-    reference = reference_of(config, cameras)
+    reference = reference_of(config, [name for name, info in recording.cameras.items() if info.mount is None])
     if len(cameras) < 2:
         raise CalibrationError(
             f"{recording.path}: 1 camera ({cameras[0]}), two or more needed for a rig. Record the board with another camera, "
@@ -209,13 +212,43 @@ def prepare_views(
         pose_view(view, board, lenses.intrinsics[view.camera], biases.get(view.camera), config.board_pose)
         for view in filtered.views
     ]
-    check_depth_scale(posed, board, biases)
-    association = associate(posed, board, reference, cameras, config.association)
-    with_depth = [name for name in cameras if recording.depth_files[name]]
-    association, selection = frame_selection.select(
-        association, lenses, depth, recording.cameras, with_depth, board, config
-    )
+    check_depth_scale(posed, board, biases, config.bundle.bias_scale_sd)
+    seeing = [name for name in cameras if recording.color_files[name]]
+    association = associate(posed, board, reference, seeing, config.association)
+    association = _with_depth_cameras(association, recording, lenses, biases, board, config)
+    association, selection = frame_selection.select(association, lenses, depth, recording, board, config)
     return Views(detections, lenses, depth, filtered, association, selection)
+
+
+def _with_depth_cameras(
+    association: AssociationResult,
+    recording: Recording,
+    lenses: IntrinsicsSource,
+    biases: dict[str, DepthBias],
+    board: Board,
+    config: Config,
+) -> AssociationResult:
+    """With the depth cameras that see no corners: where they are thought to be, and their depth of the board."""
+    mounted = depth_cameras.without_corners(recording)
+    if not mounted:
+        return association
+    if config.method != "bundle":
+        raise ConfigError(
+            f"{recording.path}: depth of {', '.join(m.camera for m in mounted.values())} is not registered to colour, and has no "
+            f"infrared images; method {config.method} needs registered depth. Take method bundle, or register it first, with "
+            "`rgbd-calib calibrate` and `rgbd-calib correct`"
+        )
+    poses = dict(association.T_world_color)
+    for name, mount in mounted.items():
+        assert mount.T_color_depth is not None  # seen to with the lenses
+        poses[name] = poses[mount.camera] @ mount.T_color_depth
+    poses = {name: poses[name] for name in recording.cameras}
+    read = depth_cameras.predicted_views(association.views, recording, lenses.intrinsics, poses, board)
+    on_plane = filter_planes([p.view for p in read], lenses.intrinsics, biases, config.plane_filter, config.seed)
+    views = [replace(p, view=view) for p, view in zip(read, on_plane.views, strict=True)]
+    posed = [PosedView(p.view, p.T_color_board @ board.T_face_board(p.back, p.turned), 0.0) for p in views]
+    check_depth_scale(posed, board, biases, config.bundle.bias_scale_sd)
+    return replace(association, views=(*association.views, *views), T_world_color=poses)
 
 
 def reference_of(config: Config, cameras: Sequence[str]) -> str:
@@ -277,9 +310,9 @@ def _refinement(config: Config) -> RefinementParams:
 def _bundle(views: Views, board: Board, recording: Recording, config: Config, reference: str) -> Solution:
     """The joint bundle over the recording's views and those of an intrinsic recording."""
     cameras = list(recording.cameras)
-    priors = frame_selection.bundle_priors(views.lenses, views.depth, recording.cameras)
-    single = frame_selection.views_alone(views.lenses, views.depth.biases, cameras, board, config)
+    priors = frame_selection.bundle_priors(views.lenses, views.depth, recording, config.bundle)
     start = views.association.T_world_color
+    single = frame_selection.views_alone(views.lenses, views.depth.biases, recording, start, board, config)
     walls = Walls.of(cameras, views.depth.walls)
     return bundle([*views.association.views, *single], board, priors, start, reference, config.bundle, walls)
 

@@ -113,12 +113,13 @@ def residuals_of_bundle(solved: Solution, board: Board) -> Residuals:
     left_px, left_m = solved.problem.residuals(solved.state, used.keep(there, np.isfinite(raw_m)))
     names = [(p.view.camera, p.view.frame, str(k)) for p in views for k in p.front_corner(board)]
     camera, frame, feature = np.array(names, dtype=str).T
+    predicted = np.array([p.view.predicted for p in views])
     return Residuals(
         camera,
         frame,
         feature,
         pixels_px=used.pixels_px[there],
-        residual_px=-left_px[there],
+        residual_px=np.where(predicted[:, None, None], np.nan, -left_px)[there],
         depth_m=raw_m[there],
         residual_depth_m=np.where(np.isfinite(raw_m), -left_m, np.nan)[there],
         used_pixel=used.has_pixel[there],

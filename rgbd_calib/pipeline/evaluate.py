@@ -244,7 +244,9 @@ def _compare(
 
 
 def _transfer(rig: Rig, source: PlacedView, target: PlacedView, board: Board) -> FloatArray:
-    """Board posed by the pixels of `source`, projected into `target`: errors (n,) px of its corners."""
+    """Board posed by the pixels of `source`, projected into `target`: errors (n,) px of its corners, where they were seen."""
+    if source.view.predicted or target.view.predicted:
+        return np.empty(0)
     T_world_board = rig.cameras[source.view.camera].T_world_color @ source.T_color_board
     T_color_board = se3.inverse(rig.cameras[target.view.camera].T_world_color) @ T_world_board
     lens = rig.cameras[target.view.camera].intrinsics

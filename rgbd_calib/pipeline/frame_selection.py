@@ -10,16 +10,17 @@ import numpy as np
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.io.recording import CameraInfo
+from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.config import Config
+from rgbd_calib.pipeline.depth_cameras import without_corners
 from rgbd_calib.pipeline.prepare import DepthSource, IntrinsicsSource
 from rgbd_calib.rig.blocks import Scope
 from rgbd_calib.rig.frame_selection import FrameChoice, choose_frames
 from rgbd_calib.rig.observations import Walls
-from rgbd_calib.rig.setup import CameraPrior
+from rgbd_calib.rig.setup import BundleParams, CameraPrior, MountPrior
 from rgbd_calib.trust.uncertainty import JointCovariance, expected_alignment, volume
 from rgbd_calib.types import Board, DepthBias, PlacedView, Rig, RigCamera
-from rgbd_calib.views.association import AssociationResult
+from rgbd_calib.views.association import AssociationResult, label_views
 from rgbd_calib.views.board_pose import pose_view
 from rgbd_calib.views.plane_filter import filter_planes
 
@@ -69,9 +70,11 @@ def told(quality: Mapping[str, Any]) -> str | None:
 
 
 def bundle_priors(
-    lenses: IntrinsicsSource, depth: DepthSource, cameras: Mapping[str, CameraInfo]
+    lenses: IntrinsicsSource, depth: DepthSource, recording: Recording, params: BundleParams
 ) -> dict[str, CameraPrior]:
     """What is known of each camera before the bundle."""
+    mounted = without_corners(recording)
+    sd = np.repeat([params.mount_turn_sd_rad, params.mount_shift_sd_m], 3)
     return {
         name: CameraPrior(
             lenses.intrinsics[name],
@@ -80,30 +83,40 @@ def bundle_priors(
             depth.biases.get(name),
             depth_unit_m=info.depth_scale,
             bias_is_start=name in depth.walls,
+            time_of_flight=info.time_of_flight,
+            same_sensor=info.mount is not None,
+            mount=MountPrior(mounted[name].camera, sd) if name in mounted else None,
         )
-        for name, info in cameras.items()
+        for name, info in recording.cameras.items()
     }
 
 
 def views_alone(
-    lenses: IntrinsicsSource, biases: dict[str, DepthBias], cameras: Sequence[str], board: Board, config: Config
+    lenses: IntrinsicsSource,
+    biases: dict[str, DepthBias],
+    recording: Recording,
+    T_world_color: Mapping[str, FloatArray],
+    board: Board,
+    config: Config,
 ) -> list[PlacedView]:
-    """Views of an intrinsic recording, each of a board of its own."""
-    out = []
+    """Views of an intrinsic recording, each of a board of its own; a colour camera and its depth camera share theirs."""
+    posed = []
     for view in filter_planes(lenses.views, lenses.intrinsics, biases, config.plane_filter, config.seed).views:
-        if view.camera in cameras and view.frame not in lenses.results[view.camera].dropped:
-            own = replace(view, frame=f"{view.camera} alone: {view.frame}")
-            posed = pose_view(own, board, lenses.intrinsics[view.camera], biases.get(view.camera), config.board_pose)
-            out.append(PlacedView(own, False, False, posed.T_color_face))
-    return out
+        result = lenses.results.get(view.camera)
+        if view.camera in recording.cameras and (result is None or view.frame not in result.dropped):
+            mount = recording.cameras[view.camera].mount
+            own = replace(view, frame=f"{mount.camera if mount else view.camera} alone: {view.frame}")
+            posed.append(
+                pose_view(own, board, lenses.intrinsics[view.camera], biases.get(view.camera), config.board_pose)
+            )
+    return list(label_views(posed, board, T_world_color, config.association)[0])
 
 
 def select(
     association: AssociationResult,
     lenses: IntrinsicsSource,
     depth: DepthSource,
-    cameras: Mapping[str, CameraInfo],
-    with_depth: Sequence[str],
+    recording: Recording,
     board: Board,
     config: Config,
 ) -> tuple[AssociationResult, Selection | None]:
@@ -119,17 +132,18 @@ def select(
         return association, None
     choice = choose_frames(
         association.views,
-        views_alone(lenses, depth.biases, list(cameras), board, config),
+        views_alone(lenses, depth.biases, recording, association.T_world_color, board, config),
         board,
-        bundle_priors(lenses, depth, cameras),
+        bundle_priors(lenses, depth, recording, config.bundle),
         association.T_world_color,
         association.reference,
         config.max_views,
         config.bundle,
-        Walls.of(list(cameras), depth.walls),
+        Walls.of(list(recording.cameras), depth.walls),
     )
     kept = set(choice.chosen)
     views = tuple(placed for placed in association.views if placed.view.frame in kept)
+    with_depth = [name for name in recording.cameras if recording.depth_files[name]]
     ratio = _ratio(choice, association, lenses, depth.biases, with_depth, board)
     return replace(association, views=views), Selection(choice.chosen, choice.left_out, ratio)
 

@@ -16,9 +16,11 @@ from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.io.dataset import scaled
 from rgbd_calib.io.recording import CameraInfo, Recording, open_recording
 from rgbd_calib.io.rig import read_depth_bias, read_depth_bias_samples, read_intrinsics, read_intrinsics_sd
 from rgbd_calib.pipeline.config import Config
+from rgbd_calib.pipeline.depth_cameras import split
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.types import BoardView, DepthBias
@@ -89,21 +91,24 @@ def check_sources(recording: Recording, intrinsics: Path | None, depth_bias: Pat
     ConfigError
         Not there, not readable, lacks a camera of the recording, or is of another image size.
     """
+    color = [name for name, info in recording.cameras.items() if info.mount is None]
     for source, what in ((intrinsics, "intrinsics"), (depth_bias, "depth_bias")):
         if source is not None and source.is_dir():
-            other = open_recording(source)
-            cameras = [name for name in recording.cameras if what == "intrinsics" or recording.depth_files[name]]
+            other = split(open_recording(source))
+            cameras = (
+                color if what == "intrinsics" else [name for name in recording.cameras if recording.depth_files[name]]
+            )
             _need(source, "images", cameras, other.cameras)
             for name in cameras:
                 _check_size(source, name, other.cameras[name], recording)
     if intrinsics is not None and not intrinsics.is_dir():
         given = read_intrinsics(intrinsics)
-        _need(intrinsics, "intrinsics", list(recording.cameras), given)
-        for name in recording.cameras:
+        _need(intrinsics, "intrinsics", color, given)
+        for name in color:
             _check_size(intrinsics, name, given[name], recording)
     if depth_bias is not None and not depth_bias.is_dir():
         cameras = [name for name in recording.cameras if recording.depth_files[name]]
-        _need(depth_bias, "depth_bias", cameras, read_depth_bias(depth_bias))
+        _need(depth_bias, "depth_bias", cameras, _by_depth_camera(read_depth_bias(depth_bias), recording))
 
 
 def resolve_intrinsics(
@@ -119,25 +124,76 @@ def resolve_intrinsics(
 
     `source_detections` are the corners of an intrinsic recording, where they were found before.
     """
-    cameras = list(recording.cameras)
+    cameras = [name for name, info in recording.cameras.items() if info.mount is None]
     check_sources(recording, source, None)
     if source is not None and source.is_dir():
-        other = open_recording(source)
+        other = split(open_recording(source))
         found = source_detections or detect(other, config.detect, workers, progress)
         results = intrinsics_of_views(other, found, config, cameras)
         given = {name: result.intrinsics for name, result in results.items()}
-        return IntrinsicsSource(given, str(source), results, found.views, {})
+        given, results, sds = _with_depth_cameras(given, results, recording, (detections, found), config)
+        return IntrinsicsSource(given, str(source), results, found.views, sds)
     if source is not None:
-        given = read_intrinsics(source)
-        return IntrinsicsSource(
-            {name: given[name] for name in cameras}, str(source), {}, (), read_intrinsics_sd(source)
-        )
-    in_dataset = {name: info.intrinsics for name, info in recording.cameras.items() if info.intrinsics is not None}
+        in_file = read_intrinsics(source)
+        given = {name: in_file[name] for name in cameras}
+        given, results, sds = _with_depth_cameras(given, {}, recording, (detections,), config)
+        return IntrinsicsSource(given, str(source), results, (), read_intrinsics_sd(source) | sds)
+    in_dataset = {name: lens for name in cameras if (lens := recording.cameras[name].intrinsics) is not None}
     own = [name for name in cameras if name not in in_dataset]
     results = intrinsics_of_views(recording, detections, config, own) if own else {}
     given = in_dataset | {name: result.intrinsics for name, result in results.items()}
     origin = "dataset.yaml" if not own else "the recording's own views" + (" and dataset.yaml" if in_dataset else "")
-    return IntrinsicsSource({name: given[name] for name in cameras}, origin, results, (), {})
+    given = {name: given[name] for name in cameras}
+    given, results, sds = _with_depth_cameras(given, results, recording, (detections,), config)
+    return IntrinsicsSource(given, origin, results, (), sds)
+
+
+def _with_depth_cameras(
+    given: Mapping[str, Intrinsics],
+    results: Mapping[str, IntrinsicsResult],
+    recording: Recording,
+    sources: Sequence[Detections],
+    config: Config,
+) -> tuple[dict[str, Intrinsics], dict[str, IntrinsicsResult], dict[str, np.ndarray]]:
+    """The same with the depth cameras of a split recording: lenses, what they rest on, and standard deviations.
+
+    A lens is taken as it was stated where its deviations were stated too, or where there are no views of the board in infrared
+    images; else it is estimated from these.
+
+    Raises
+    ------
+    ConfigError
+        Neither is there.
+    """
+    lenses, found, sds = dict(given), dict(results), dict[str, np.ndarray]()
+    for name, info in recording.cameras.items():
+        if info.mount is None:
+            continue
+        own, color = info.intrinsics, given[info.mount.camera]
+        views = max((source.of(name) for source in sources), key=len)
+        T = info.mount.T_color_depth
+        if own is not None and info.mount.intrinsics_sd is not None:
+            lenses[name], sds[name] = own, np.array(info.mount.intrinsics_sd)
+        elif len(views) >= config.intrinsics.min_views:
+            found[name] = calibrate_intrinsics(views, board_of(recording), (info.width, info.height), config.intrinsics)
+            lenses[name] = found[name].intrinsics
+        elif own is not None:
+            lenses[name] = own
+        elif T is not None and np.allclose(T, np.eye(4), atol=1e-9):  # of another size, in the colour camera's place
+            lenses[name] = scaled(color, info.width, info.height)
+        else:
+            raise ConfigError(
+                f"{recording.path}: depth of {info.mount.camera} has a geometry of its own, of which too little is known: no "
+                f"intrinsics in its depth block, and the board in {len(views)} infrared images. Write its factory's intrinsics "
+                "and T_color_depth into dataset.yaml (`rgbd-calib init` finds them), record infrared images "
+                f"({config.intrinsics.min_views} of the board), or register depth to colour with the sensor's own software"
+            )
+        if T is None and not recording.color_files[name]:
+            raise ConfigError(
+                f"{recording.path / 'dataset.yaml'}: {info.mount.camera}: T_color_depth is missing in its depth block, and there "
+                "are no infrared images to find it. Write it as it is meant to be, to a centimetre, or record infrared images"
+            )
+    return {name: lenses[name] for name in recording.cameras}, found, sds
 
 
 def given_intrinsics(source: Path, cameras: Sequence[str]) -> IntrinsicsSource:
@@ -173,6 +229,10 @@ def walls_of_recording(
         A frame without depth image.
     """
     distances, out = recording.distances_m(name), []
+    mount = recording.cameras[name].mount
+    T = np.eye(4) if mount is None or mount.T_color_depth is None else mount.T_color_depth
+    normal = T[2, :3]  # of a wall square to the colour camera, in the depth camera's frame
+    tilt = float(-normal[0] / normal[2]), float(-normal[1] / normal[2])
     for frame in progress(sorted(distances), len(distances), f"{name}: wall"):
         if not recording.has_depth(name, frame):
             raise ConfigError(
@@ -181,7 +241,8 @@ def walls_of_recording(
         distance_m, sd_m = distances[frame]
         cells = wall_cells(recording.depth_m(name, frame))
         if cells.seen.any():
-            out.append(SeenWall(frame, distance_m, sd_m or config.depth_bias.distance_sd_m, cells))
+            sd_m = sd_m or config.depth_bias.distance_sd_m
+            out.append(SeenWall(frame, float((distance_m - T[2, 3]) / normal[2]), sd_m, cells, tilt))
     return tuple(out)
 
 
@@ -237,14 +298,24 @@ def resolve_depth(
     cameras = [name for name in recording.cameras if recording.depth_files[name]]
     walls: dict[str, tuple[SeenWall, ...]] = {}
     if source.is_dir():
-        fits, walls = depth_of_recording(open_recording(source), intrinsics, config, workers=workers, progress=progress)
+        other = split(open_recording(source))
+        fits, walls = depth_of_recording(other, intrinsics, config, workers=workers, progress=progress)
         given = {name: fit.bias for name, fit in fits.items()}
         samples = {name: samples_of(fit) for name, fit in fits.items()}
     else:
-        given, samples = read_depth_bias(source), read_depth_bias_samples(source)
+        given, samples = (
+            _by_depth_camera(found, recording) for found in (read_depth_bias(source), read_depth_bias_samples(source))
+        )
     _need(source, "depth_bias", cameras, given)  # one without depth images in a bias recording has none
     mine = {name: walls[name] for name in cameras if name in walls}
     return DepthSource({name: given[name] for name in cameras}, str(source), samples, mine)
+
+
+def _by_depth_camera(by_camera: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
+    """What a file says of cameras, by the depth cameras of a split recording."""
+    parent = {name: info.mount.camera for name, info in recording.cameras.items() if info.mount is not None}
+    moved = {name: by_camera[camera] for name, camera in parent.items() if camera in by_camera}
+    return {name: value for name, value in by_camera.items() if name not in parent.values()} | moved
 
 
 def samples_of(fit: DepthBiasFit) -> dict[str, Any]:

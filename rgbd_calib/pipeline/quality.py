@@ -74,7 +74,7 @@ def common_quality(recording: Recording, views: Views, evaluation: Evaluation | 
     found, association = views.detections, views.association
     used = {name: sum(p.view.camera == name for p in association.views) for name in recording.cameras}
     out: dict[str, Any] = {
-        "images": {name: len(files) for name, files in recording.color_files.items()},
+        "images": {name: len(files or recording.depth_files[name]) for name, files in recording.color_files.items()},
         "views_found": {name: len(found.of(name)) for name in recording.cameras},
         "views_used": used,
         "views_not_associated": _by_camera(association.dropped),

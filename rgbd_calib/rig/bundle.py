@@ -216,7 +216,8 @@ def _check_left(problem: Problem, dropped: Mapping[tuple[str, str], str]) -> Non
         frames = {int(f) for f, c in zip(obs.frame[used], obs.camera[used], strict=True) if int(c) in joined}
         more = {int(c) for f, c in zip(obs.frame[used], obs.camera[used], strict=True) if int(f) in frames}
         grown, joined = not more <= joined, joined | more
-    lost = [name for i, name in enumerate(cameras) if i not in joined]
+    priors = problem.setup.priors  # a depth camera that sees no corners goes with its colour camera
+    lost = [name for i, name in enumerate(cameras) if i not in joined and priors[i].mount is None]
     if lost:
         why = "; ".join(
             f"{camera} frame {frame}: {text}" for (camera, frame), text in dropped.items() if camera in lost

@@ -74,7 +74,7 @@ def local_field(
     depth_m : (walls, rows, columns), as reported.
     seen : (walls, rows, columns) bool.
     """
-    known = seen & (seen.mean(axis=0) >= LEAST_SEEN)
+    known = seen & (seen.sum(axis=0) >= LEAST_SEEN * len(seen))
     walls = known.any(axis=(1, 2))
     if walls.sum() < LEAST_WALLS:
         return None

@@ -71,6 +71,8 @@ class Walls:
     """(W, N)."""
     grids: IntArray
     """(C, 2), rows and columns of the cells of each camera, the first of the N."""
+    tilts: FloatArray
+    """(W, 2), a and b of the plane z = D / (1 - a x - b y), as it is thought to stand."""
 
     @property
     def n(self) -> int:
@@ -90,13 +92,23 @@ class Walls:
             pixels[row, :n] = wall.cells.pixels_px.reshape(-1, 2)
             depth[row, :n], there[row, :n] = wall.cells.depth_m.ravel(), wall.cells.seen.ravel()
         distances, sds = (np.array([getattr(wall, key) for _, wall in every]) for key in ("distance_m", "sd_m"))
-        return cls(np.array([i for i, _ in every]), distances, sds, pixels, depth, there, grids)
+        tilts = np.array([wall.tilt for _, wall in every])
+        return cls(np.array([i for i, _ in every]), distances, sds, pixels, depth, there, grids, tilts)
 
     @classmethod
     def none(cls) -> Walls:
         cells = np.zeros((0, 1))
         grids = np.zeros((0, 2), int)
-        return cls(np.zeros(0, int), np.zeros(0), np.zeros(0), np.zeros((0, 1, 2)), cells, cells.astype(bool), grids)
+        return cls(
+            np.zeros(0, int),
+            np.zeros(0),
+            np.zeros(0),
+            np.zeros((0, 1, 2)),
+            cells,
+            cells.astype(bool),
+            grids,
+            np.zeros((0, 2)),
+        )
 
 
 def observe(
@@ -115,7 +127,7 @@ def observe(
         m = len(placed.view.ids)
         measured = np.isfinite(placed.view.depth_m)
         pixels[i, :m], corner[i, :m] = placed.view.corners_px, placed.front_corner(board)
-        has_pixel[i, :m], has_depth[i, :m] = True, measured
+        has_pixel[i, :m], has_depth[i, :m] = not placed.view.predicted, measured
         depth[i, :m][measured] = placed.view.depth_m[measured]
         cells[i, :m][measured] = np.maximum(placed.view.depth_pixels[measured], 1)
     camera_of = np.array([cameras.index(placed.view.camera) for placed in views])

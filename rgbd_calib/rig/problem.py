@@ -222,6 +222,10 @@ class Problem:
         """Rows of the depth of some views."""
         obs, c = sight.obs, sight.camera
         corrected, slope = self.corrected(state, c, obs.pixels_px, obs.depth_m)
+        if self.setup.priors[c].mount is not None:
+            lens = self.setup.priors[c].intrinsics
+            look = terms.look_at_plane(sight, lens, state.intrinsics[c], corrected, slope)
+            return replace(look, values=self._of_depth(state, c))
         shift = np.zeros(obs.pixels_px.shape)
         for block in self.blocks:
             if isinstance(block, Registration) and np.any(state.values[block.name][c]):
@@ -239,7 +243,8 @@ class Problem:
             tape = state.values["tape"][c, 0] if "tape" in self.parts else 0.0
             at, z = walls.pixels_px[mine], walls.depth_m[mine]
             rays = self.setup.priors[c].intrinsics.rays(at)[..., :2]
-            ahead, by_wall = state.walls.ahead(mine, walls.written_m[mine] + tape, np.nan_to_num(rays))
+            distance_m = walls.written_m[mine] + tape
+            ahead, by_wall = state.walls.ahead(mine, distance_m, walls.tilts[mine], np.nan_to_num(rays))
             corrected, slope = self.corrected(state, c, at, z)
             seen = walls.seen[mine] & np.isfinite(rays[..., 0])
             look = terms.look_at_walls(c, at, z, ahead, by_wall[..., 0], slope, corrected, seen)
@@ -310,8 +315,8 @@ class Problem:
             yield some, look, self._rows(look, F + some, by_unit, scales[some])
 
     def _rows(self, look: Look, units: IntArray, by_unit: FloatArray, w: FloatArray) -> Rows:
-        dense = [b for b in self.blocks if look.kind in b.kinds and not isinstance(b, PointBlock)]
-        points = [b for b in self.blocks if look.kind in b.kinds and isinstance(b, PointBlock)]
+        dense = [b for b in self.blocks if b.changes(look) and not isinstance(b, PointBlock)]
+        points = [b for b in self.blocks if b.changes(look) and isinstance(b, PointBlock)]
         n, N, r = look.left.shape
         w = w[..., None]
         J = np.concatenate([b.derivative(look) for b in dense], axis=-1)

@@ -53,6 +53,10 @@ class BundleParams:
     """Prior of the depth's scale without a bias recording: consumer sensors are good to 1 %."""
     bias_curvature_sd_per_m: float = 0.005
     """Prior of the depth bias's quadratic term without a bias recording; of each further term a fifth of the one before."""
+    tof_offset_sd_m: float = 0.025
+    """The same as bias_offset_sd_m for time of flight, which errs by centimetres, and by more near the camera."""
+    tof_scale_sd: float = 0.020
+    tof_curvature_sd_per_m: float = 0.020
     tape_sd_m: float = 0.002
     """Prior of what all written distances of a camera's walls are off by: one tape, one zero."""
     wall_tilt_sd_rad: float = 0.035
@@ -77,6 +81,15 @@ class BundleParams:
     """Prior of its turn."""
     registration_baseline_sd_m: float = 0.003
     """Prior of what is wrong with the baseline that the driver registers with, each way."""
+    depth_focal_sd: float = 0.01
+    """Prior of a depth camera's focal lengths, of the factory or nominal, as a share of them."""
+    depth_centre_sd: float = 0.015
+    """Prior of its principal point, as a share of the image's width."""
+    mount_turn_sd_rad: float = 0.03
+    """Prior of how a depth camera stands beside its colour camera: by the factory, or as it was meant."""
+    mount_shift_sd_m: float = 0.010
+    ripple_m: float = 0.001
+    """Usual size of each shape of the depth's error along the range beyond its bias; estimated."""
     field_m: float = 0.010
     """Usual size of the depth's error over the image, of each of its slopes 3 m away; estimated."""
     huber_sigmas: float = 3.0
@@ -90,6 +103,16 @@ class BundleParams:
     """The same before, while the weights still change."""
     weight_tolerance: float = 0.005
     """Relative change of any sigma that ends the rounds."""
+
+
+@dataclass(frozen=True, eq=False)
+class MountPrior:
+    """A depth camera beside its colour camera; the start of its pose is where it is thought to be."""
+
+    camera: str
+    """The colour camera."""
+    sd: FloatArray
+    """(6,) standard deviations (rad, m) of the left perturbation of T_color_depth in the colour camera's frame."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +131,11 @@ class CameraPrior:
     """Depth comes in whole multiples of it."""
     bias_is_start: bool = False
     """True where the depth bias is only a start: the walls that it rests on are in the bundle."""
+    time_of_flight: bool = False
+    same_sensor: bool = False
+    """True where depth and corners are seen by one sensor, so that nothing can be beside anything."""
+    mount: MountPrior | None = None
+    """Of a depth camera that is unknown but for its place beside a colour camera; None: a camera by itself."""
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ class Look:
     by_shift: FloatArray | None = None
     """(n, N, 2), by a shift of the depth image against the colour image, m/px; of depth on a board."""
     by_lens: FloatArray | None = None
-    """(n, N, r, 4 + k), by the intrinsics; of pixels."""
+    """(n, N, r, 4 + k), by the intrinsics; of pixels, and of depth that is read where no corner was seen."""
     slope: FloatArray | None = None
     """(n, N), of the corrected by the reported depth; of depth."""
     by_distance: FloatArray | None = None

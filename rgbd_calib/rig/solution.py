@@ -112,10 +112,16 @@ class Solution:
         if not self.has_depth[i]:
             return prior
         n = block.n_own(i)
-        at = self.index("depth bias", camera)[:n]
+        at, ripple, tof = self.index("depth bias", camera)[:n], (), False
+        if "depth range" in self.problem.parts:
+            at = np.concatenate([at, self.index("depth range", camera)])
+            tof = self.prior_of(camera).time_of_flight
+            ripple = tuple(self.state.values["depth range"][i].tolist())
         low, high = (float(z) for z in block.range_m[i])
         coefficients = tuple(float(c) for c in self.state.values["depth bias"][i, :n])
-        return DepthBias(coefficients, low, high, self.depth_rms_m(camera), self.covariance[np.ix_(at, at)])
+        return DepthBias(
+            coefficients, low, high, self.depth_rms_m(camera), self.covariance[np.ix_(at, at)], ripple, tof
+        )
 
     def depth_field(self, camera: str) -> DepthField | None:
         """What its depth errs by over the image; None where that is held at zero."""
@@ -139,7 +145,7 @@ class Solution:
     def depth_camera(self, camera: str) -> DepthCamera | None:
         """The camera that its depth image is of, where that is not quite the colour camera; None without depth."""
         i = self.cameras.index(camera)
-        if "registration" not in self.problem.parts or not self.has_depth[i]:
+        if "registration" not in self.problem.parts or not self.has_depth[i] or self.prior_of(camera).same_sensor:
             return None
         return registration.depth_camera(self.intrinsics(camera), self.state.values["registration"][i])
 

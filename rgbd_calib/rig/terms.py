@@ -84,6 +84,45 @@ def look_at_depth(
     )
 
 
+def look_at_plane(
+    sight: Sight, lens: Intrinsics, values: FloatArray, corrected_m: FloatArray, slope: FloatArray
+) -> Look:
+    """Rows of depth that was read at pixels where no corner was seen: where the pixels' rays meet the board's plane.
+
+    z' = n . p / n . r, with the ray r of the pixel by the intrinsics `values`, (the longest lens's parameters,); a change of
+    the lens that moves the ray's own pixel by d turns the ray by -(dpsi/dr)^-1 d.
+    """
+    obs, p, n = sight.obs, sight.p_color, sight.normal_color[:, None]
+    vector = values[: len(lens.vector)]
+    rays = lens.with_vector(vector).rays(obs.pixels_px)
+    there = obs.has_depth & np.isfinite(rays[..., 0])
+    r = np.where(there[..., None], rays, [0.0, 0.0, 1.0])
+    _, by_ray, by_lens = camera.project_jacobian(vector, r, lens.model)
+    distance, along = np.sum(n * p, axis=-1), np.sum(n * r, axis=-1)
+    along = np.where(np.abs(along) > LEAST_COS, along, np.inf)
+    ahead = distance / along
+    turn = -np.linalg.solve(by_ray[..., :2], by_lens)
+    by_own = -(ahead / along)[..., None] * np.einsum(
+        "nik,nikp->nip", np.broadcast_to(n[..., :2], r[..., :2].shape), turn
+    )
+    padded = np.zeros((*ahead.shape, 1, len(values)))
+    padded[..., 0, : len(vector)] = by_own / slope[..., None]
+    scale = 1 / (along * slope)
+    R = sight.R_color_parent
+    return Look(
+        Kind.DEPTH,
+        sight.camera,
+        obs.pixels_px,
+        obs.depth_m,
+        np.where(there, (ahead - corrected_m) / slope, 0.0)[..., None],
+        sight,
+        (n * scale[..., None] @ R)[:, :, None],
+        by_normal=((p - ahead[..., None] * r) * scale[..., None] @ R)[:, :, None],
+        by_lens=padded,
+        slope=slope,
+    )
+
+
 def look_at_walls(
     c: int, pixels_px: FloatArray, depth_m: FloatArray, ahead_m: FloatArray, by_distance: FloatArray, slope: FloatArray,
     corrected_m: FloatArray, seen: BoolArray,

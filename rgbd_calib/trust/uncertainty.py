@@ -25,7 +25,6 @@ from dataclasses import dataclass, fields, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.polynomial import polynomial
 from scipy.special import elliprg
 
 from rgbd_calib.geometry import camera, se3
@@ -184,8 +183,9 @@ def place_derivatives(rig: Rig, name: str, observed: Observed) -> dict[str, Floa
     out["intrinsics"] = T[:3, :3] @ slide
     ray = (p / p[:, 2:]) @ T[:3, :3].T  # in the world: z moves the point along it
     if (bias := own.depth_bias) is not None:
-        powers = polynomial.polyvander(np.clip(observed.raw_m, bias.min_m, bias.max_m), len(bias.coefficients) - 1)
-        out["depth bias"] = ray[..., None] * powers[:, None]
+        stretch = np.linalg.norm(own.depth_sensor.camera.intrinsics.rays(observed.depth_pixels_px), axis=1)
+        shapes = ray[..., None] * bias.by_parameters(observed.raw_m, stretch)[:, None]
+        out["depth bias"], out["depth range"] = np.split(shapes, [len(bias.coefficients)], axis=-1)
     if isinstance(own.depth_field, PolynomialField):
         shapes = own.depth_field.by_parameters(observed.depth_pixels_px, observed.raw_m)
         out["depth field"] = ray[..., None] * shapes[:, None]

@@ -25,6 +25,7 @@ def correspond(
 ) -> Correspondences:
     """Correspondences of all corners that two cameras or more see; frames seen by one camera alone are left out."""
     per_frame: dict[str, int] = {}
+    views = [placed for placed in views if not placed.view.predicted]
     for placed in views:
         per_frame[placed.view.frame] = per_frame.get(placed.view.frame, 0) + 1
     shared = [placed for placed in views if per_frame[placed.view.frame] >= 2]

@@ -76,8 +76,12 @@ def depth_over_pixels(posed: PosedView, board: Board, bias: DepthBias | None) ->
     return float(np.median((depth_m if bias is None else bias.correct(depth_m)) / z_m))
 
 
-def check_depth_scale(posed: Sequence[PosedView], board: Board, biases: Mapping[str, DepthBias]) -> None:
+def check_depth_scale(
+    posed: Sequence[PosedView], board: Board, biases: Mapping[str, DepthBias], scale_sd: float = 0.0
+) -> None:
     """Refuse depth that has nothing to do with the pixels.
+
+    `scale_sd` is how well the scale of depth is known; what is within three of it passes.
 
     Raises
     ------
@@ -90,7 +94,11 @@ def check_depth_scale(posed: Sequence[PosedView], board: Board, biases: Mapping[
         if ratio is not None:
             ratios.setdefault(p.view.camera, []).append(ratio)
     usual = {name: float(np.median(own)) for name, own in ratios.items()}
-    wrong = {name: r for name, r in usual.items() if not 1 / MAX_RATIO < r < MAX_RATIO or likely_factor(r) is not None}
+    wrong = {
+        name: r
+        for name, r in usual.items()
+        if abs(r - 1) > 3 * scale_sd and (not 1 / MAX_RATIO < r < MAX_RATIO or likely_factor(r) is not None)
+    }
     if not wrong:
         return
     named = ", ".join(f"{name} {r:.3g}" for name, r in wrong.items())
@@ -106,5 +114,6 @@ def check_depth_scale(posed: Sequence[PosedView], board: Board, biases: Mapping[
     todo += "".join(f" ({name}: {factor})" for factor, name in factors.items())
     raise CalibrationError(
         f"{', '.join(wrong)}: measured depth over the board's distance by its pixels is {named} in the median of the views; "
-        f"{1 / MAX_RATIO:g} to {MAX_RATIO:g} needed. {todo}"
+        f"{1 / MAX_RATIO:g} to {MAX_RATIO:g} needed. {todo}. Where the scale of depth is not known, set bundle.bias_scale_sd in "
+        "a --config file to how far it may be off"
     )

@@ -29,6 +29,7 @@ ESTIMATED: tuple[type[Block], ...] = (
     CameraPoses,
     IntrinsicsBlock,
     DepthBiasBlock,
+    DepthRange,
     DepthField,
     Registration,
     Tape,
@@ -42,7 +43,6 @@ ESTIMATED: tuple[type[Block], ...] = (
 HELD: tuple[type[Block], ...] = (
     BoardScale,
     BoardWarp,
-    DepthRange,
     PixelField,
 )
 """What it holds at zero, and the self-checks look for."""

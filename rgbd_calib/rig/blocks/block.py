@@ -184,6 +184,10 @@ class Block(ABC):
         """
         return None
 
+    def changes(self, look: Look) -> bool:
+        """Do these rows depend on it?"""
+        return look.kind in self.kinds
+
     def columns(self, camera: int) -> IntArray:
         """(n,), numbers among the block's parameters of the set that a camera's rows depend on."""
         return (camera if self.scope is Scope.CAMERA else 0) * self.n + np.arange(self.n)

@@ -39,14 +39,29 @@ class CameraPoses(Block):
         free = [
             name != own.reference and prior.held != "all" for name, prior in zip(own.cameras, own.priors, strict=True)
         ]
-        nothing = np.zeros(self.size)
-        return BlockPrior(nothing, np.zeros((self.size,) * 2), np.repeat(free, 6), np.zeros(self.size, bool))
+        return BlockPrior(np.zeros(self.size), self._mounts(), np.repeat(free, 6), np.zeros(self.size, bool))
+
+    def _mounts(self) -> FloatArray:
+        """(6 C, 6 C), what is known of depth cameras beside their colour cameras.
+
+        With a and b the perturbations of the poses of colour and depth, that of T_color_depth is Ad(T_color_world)(b - a).
+        """
+        out = np.zeros((self.size,) * 2)
+        for depth, prior in enumerate(self.setup.priors):
+            if prior.mount is not None:
+                color = self.setup.cameras.index(prior.mount.camera)
+                J = np.zeros((6, self.size))
+                J[:, 6 * depth : 6 * depth + 6] = se3.adjoint(se3.inverse(self.setup.T_world_color[color]))
+                J[:, 6 * color : 6 * color + 6] = -J[:, 6 * depth : 6 * depth + 6]
+                out += J.T @ np.diag(prior.mount.sd**-2.0) @ J
+        return out
 
     def moved(self, value: FloatArray, step: FloatArray) -> FloatArray:
         return se3.retract(value, step.reshape(-1, 6))
 
     def vector(self, value: FloatArray) -> FloatArray:
-        return np.zeros(self.size)
+        """From where the estimate began."""
+        return se3.difference(value, self.setup.T_world_color).ravel()
 
     def derivative(self, look: Look) -> FloatArray:
         return np.where(look.sight.obs.shared[:, None, None, None], -look.by_motion, 0.0)

@@ -79,7 +79,7 @@ class DepthBiasBlock(LinearDepthErrorBlock):
             if known is not None:
                 mean[i, :n_own] = known.coefficients
             at = slice(i * n, i * n + n_own)
-            information[at, at] = _information(known, n_own, self.setup.params)
+            information[at, at] = _information(known, n_own, self.setup.params, prior.time_of_flight)
         return BlockPrior(mean.ravel(), information, free.ravel(), assumed.ravel())
 
     def n_own(self, camera: int) -> int:
@@ -99,9 +99,11 @@ class DepthBiasBlock(LinearDepthErrorBlock):
         return powers, np.where(inside[..., None], slope, 0.0)
 
 
-def _information(bias: DepthBias | None, n: int, params: BundleParams) -> FloatArray:
+def _information(bias: DepthBias | None, n: int, params: BundleParams, time_of_flight: bool) -> FloatArray:
     if bias is not None and bias.covariance is not None:
-        return symmetric_inverse(bias.covariance)
-    sd = [params.bias_offset_sd_m, params.bias_scale_sd]
-    sd += [params.bias_curvature_sd_per_m / 5.0**k for k in range(max(n - 2, 0))]
+        return symmetric_inverse(bias.covariance[:n, :n])
+    offset, scale, curvature = params.bias_offset_sd_m, params.bias_scale_sd, params.bias_curvature_sd_per_m
+    if time_of_flight:
+        offset, scale, curvature = params.tof_offset_sd_m, params.tof_scale_sd, params.tof_curvature_sd_per_m
+    sd = [offset, scale, *(curvature / 5.0**k for k in range(max(n - 2, 0)))]
     return np.diag(1 / np.square(sd[:n]))

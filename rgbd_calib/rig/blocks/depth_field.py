@@ -27,7 +27,9 @@ DOF = 0.1
 MOST = 10.0
 """Times what is usual: a sensor that errs by more is broken. Boards alone would let shapes take what other errors leave."""
 GROWTH, GROWTH_SD = np.array([2.0, 0.0]), np.array([0.7, 0.2])
-"""Prior of p and q: disparity, or range."""
+"""Prior of p and q."""
+GROWTH_OF_TOF = np.array([0.5, 0.0])
+"""Of an error in range, and of what grows with the noise."""
 
 
 class DepthField(DepthErrorBlock):
@@ -41,7 +43,8 @@ class DepthField(DepthErrorBlock):
 
     def start(self) -> FloatArray:
         out = np.zeros((self.sets, self.n))
-        out[:, -2:] = GROWTH
+        for row, prior in zip(out, self.setup.priors, strict=True):
+            row[-2:] = GROWTH_OF_TOF if prior.time_of_flight else GROWTH
         return out
 
     def prior(self) -> BlockPrior:

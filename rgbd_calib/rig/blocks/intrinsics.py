@@ -19,7 +19,7 @@ class IntrinsicsBlock(Block):
 
     name = "intrinsics"
     scope = Scope.CAMERA
-    kinds = frozenset({Kind.PIXEL})
+    kinds = frozenset({Kind.PIXEL, Kind.DEPTH})
     over_time = Fault(
         "lens over time",
         lambda t: (
@@ -66,7 +66,8 @@ class IntrinsicsBlock(Block):
         for i, prior in enumerate(own.priors):
             n = len(prior.intrinsics.vector)
             sd[i, :n] = _standard_deviations(prior, own.params)
-            seen = bool(np.any(own.obs.has_pixel[own.obs.camera == i]))
+            rows = own.obs.has_pixel if prior.mount is None else own.obs.has_depth
+            seen = bool(np.any(rows[own.obs.camera == i]))
             free[i, :n] = own.params.free_intrinsics and seen and prior.held == "nothing"
             if prior.intrinsics.model == "opencv" and n > 8:
                 free[i, 8] &= own.params.free_k3 or prior.intrinsics.distortion[4] != 0
@@ -74,8 +75,11 @@ class IntrinsicsBlock(Block):
         information = np.diag(1 / np.maximum(sd.ravel(), _LEAST_SD) ** 2)
         return BlockPrior(self.start().ravel(), information, free.ravel(), assumed.ravel())
 
+    def changes(self, look: Look) -> bool:
+        return look.by_lens is not None
+
     def derivative(self, look: Look) -> FloatArray:
-        assert look.by_lens is not None  # rows of pixels have it
+        assert look.by_lens is not None
         return look.by_lens
 
 
@@ -83,11 +87,11 @@ def _standard_deviations(prior: CameraPrior, params: BundleParams) -> FloatArray
     """(4 + n,) of the intrinsics before the bundle."""
     if prior.intrinsics_sd is not None and not prior.from_views:
         return prior.intrinsics_sd
-    focal, centre, distortion = (
-        (params.weak_focal, params.weak_centre, params.weak_distortion)
-        if prior.from_views
-        else (params.given_focal, params.given_centre, params.given_distortion)
-    )
+    focal, centre, distortion = params.given_focal, params.given_centre, params.given_distortion
+    if prior.from_views:
+        focal, centre, distortion = params.weak_focal, params.weak_centre, params.weak_distortion
+    elif prior.mount is not None:
+        focal, centre = params.depth_focal_sd, params.depth_centre_sd
     own = prior.intrinsics
     sd = [focal * own.fx, focal * own.fy, centre * own.width, centre * own.width]
     lens = np.full(len(own.distortion), distortion)

@@ -42,7 +42,7 @@ class Registration(Block):
         px, scale, baseline = own.registration_sd_px, own.registration_scale_sd, own.registration_baseline_sd_m
         sd = np.array([px, px, scale, scale, own.registration_turn_sd_rad, baseline, baseline])
         free = [bool(np.any(obs.has_depth[obs.camera == c])) for c in range(self.sets)]
-        held = [prior.held != "nothing" for prior in self.setup.priors]
+        held = [prior.held != "nothing" or prior.same_sensor for prior in self.setup.priors]
         information = np.diag(np.tile(sd**-2.0, self.sets))
         return BlockPrior(
             np.zeros(n), information, np.repeat(np.array(free) & ~np.array(held), self.n), np.zeros(n, bool)
@@ -58,6 +58,9 @@ class Registration(Block):
         out[..., 0, 4], out[..., 1, 4] = -v, u
         out[..., 0, 5], out[..., 1, 6] = lens.fx / depth_m, lens.fy / depth_m
         return out
+
+    def changes(self, look: Look) -> bool:
+        return look.by_shift is not None
 
     def derivative(self, look: Look) -> FloatArray:
         assert look.by_shift is not None  # rows of depth have it

@@ -61,16 +61,19 @@ class WallPlanes:
     """Where the walls of the bias recording stand; W walls."""
 
     values: FloatArray
-    """(W, 3): what the written distance is off by, metres, and the tilts a, b of the plane z = D / (1 - a x - b y)."""
+    """(W, 3): what the written distance is off by, metres, and by how much the tilts a, b of the plane z = D / (1 - a x - b y)
+    differ from what is thought."""
 
     def moved(self, step: FloatArray) -> WallPlanes:
         """After a step (W, D), of which the first three are the wall's."""
         return WallPlanes(self.values + step[:, :3])
 
-    def ahead(self, walls: IntArray, distance_m: FloatArray, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def ahead(
+        self, walls: IntArray, distance_m: FloatArray, tilts: FloatArray, rays: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Depth (n, N), metres, at rays (n, N, 2), and its derivative (n, N, 3) by the wall's unknowns."""
         distance = distance_m + self.values[walls, 0]
-        by_distance = 1 / (1 - np.einsum("nik,nk->ni", rays, self.values[walls, 1:]))
+        by_distance = 1 / (1 - np.einsum("nik,nk->ni", rays, tilts + self.values[walls, 1:]))
         z = distance[:, None] * by_distance
-        tilts = z[..., None] * by_distance[..., None] * rays
-        return z, np.concatenate([by_distance[..., None], tilts], axis=-1)
+        by_tilts = z[..., None] * by_distance[..., None] * rays
+        return z, np.concatenate([by_distance[..., None], by_tilts], axis=-1)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rgbd_calib.geometry.linear import IntArray, NormalEquations, assemble
+from rgbd_calib.geometry.linear import BoolArray, IntArray, NormalEquations, assemble
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks import ESTIMATED, HELD, Block
 from rgbd_calib.rig.pose_rows import N_PARTS, part_of, through
@@ -43,13 +43,13 @@ def equations_of(solution: Solution, held: Sequence[Block], frames: Sequence[str
     columns = {b.name: slice(int(s) - b.n, int(s)) for b, s in zip(tested, stops, strict=True)}
     metres = _metres(problem, state)
     gradient = problem.prior.information @ (problem.vector(state) - problem.prior.mean)
-    whole = len(views) == int(problem.obs.has_pixel.any(axis=1).sum())
+    whole = len(views) == int(_used(problem).any(axis=1).sum())
     base = problem.equations(state, None if whole else views)
     at = {name: k for k, name in enumerate(frames)}
     of_frame = np.array([at.get(name, ALONE) for name in solution.course.frames])
     distance = np.zeros(len(problem.obs.camera))
     for some, sight in problem.sights(state, views):
-        seen = sight.obs.has_pixel
+        seen = sight.obs.has_pixel | sight.obs.has_depth
         distance[some] = np.where(seen, sight.p_color[..., 2], 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
 
     def part(some: IntArray) -> NormalEquations:
@@ -71,7 +71,7 @@ def equations_of(solution: Solution, held: Sequence[Block], frames: Sequence[str
         problem.prior.information,
         gradient,
         problem.prior.free,
-        obs.has_pixel.sum(axis=1),
+        _used(problem)[views].sum(axis=1),
         distance[views],
         GROUPS,
         np.zeros(len(GROUPS)),
@@ -82,15 +82,20 @@ def equations_of(solution: Solution, held: Sequence[Block], frames: Sequence[str
 
 
 def _thinned(problem: Problem) -> IntArray:
-    """Views with pixels, of every frame or of every n-th."""
+    """Views that are used, of every frame or of every n-th."""
     obs = problem.obs
-    views = np.flatnonzero(obs.has_pixel.any(axis=1))
+    views = np.flatnonzero(_used(problem).any(axis=1))
     every = -(-len(views) // MAX_VIEWS)
     if every == 1:
         return views
     shared = np.unique(obs.frame[views][obs.shared[views]])[::every]
     alone = np.unique(obs.frame[views][~obs.shared[views]])[::every]
     return views[np.isin(obs.frame[views], np.concatenate([shared, alone]))]
+
+
+def _used(problem: Problem) -> BoolArray:
+    """(V, N) corners that say anything."""
+    return np.asarray(problem.obs.has_pixel | problem.obs.has_depth)
 
 
 def _metres(problem: Problem, state: State) -> tuple[FloatArray, FloatArray]:
@@ -122,7 +127,7 @@ def _view_rows(
         own, n, kind = place[some], len(some), look.kind
         A = np.zeros((*look.left.shape, H))
         for block in tested:
-            if kind in block.kinds:
+            if block.changes(look):
                 A[..., columns[block.name]] = block.derivative(look)
         in_metres = (A * metres[OF_BOARDS.index(kind)][some][..., None, None]).reshape(n, -1, H)
         size[own] += in_metres.transpose(0, 2, 1) @ in_metres
@@ -143,9 +148,9 @@ def _view_rows(
             index[v] = np.concatenate([index[v], rows.columns, rows.point_columns[k].ravel()])
     return ViewRows(
         obs.frame[views],
-        np.stack(index),
+        _stacked(index),
         gram,
-        np.stack(by_globals),
+        _stacked(by_globals),
         by_unit,
         score,
         low,
@@ -154,3 +159,9 @@ def _view_rows(
         low_residual,
         size,
     )
+
+
+def _stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """(V, ..., n) of arrays (..., n) of several lengths; zeros, of global 0, fill up the shorter ones."""
+    n = max(own.shape[-1] for own in rows)
+    return np.stack([np.pad(own, [(0, 0)] * (own.ndim - 1) + [(0, n - own.shape[-1])]) for own in rows])
