@@ -182,7 +182,7 @@ def command(
             "Leave them out, or choose another --method"
         )
     reference_of(settings, list(opened.cameras))
-    opened = split(opened)
+    whole, opened = opened, split(opened)
     check_together(opened)
     check_sources(opened, intrinsics, depth_bias)
     found = detections_from(opened, corners, settings.detect, workers, progress)
@@ -217,7 +217,7 @@ def command(
     if report is not None:
         from rgbd_calib.pipeline.report import write_report
 
-        say(f"Wrote {write_report(report, output.name, result.rig, result.boards, result.residuals, opened)}")
+        say(f"Wrote {write_report(report, output.name, result.rig, result.boards, result.residuals, whole)}")
     verdict = judge(result.rig.quality, ())
     say(f"Verdict: {verdict.headline}")
     for own in result.rig.quality["self_check"]["findings"]:

@@ -62,13 +62,16 @@ def command(
     from rgbd_calib.io.rig import read_intrinsics, write_depth_bias
     from rgbd_calib.pipeline.calibrate import provenance_of
     from rgbd_calib.pipeline.config import load_config
+    from rgbd_calib.pipeline.depth_cameras import split
     from rgbd_calib.pipeline.detection import detections_from
     from rgbd_calib.pipeline.prepare import depth_of_recording, samples_of
 
-    opened, settings = open_recording(recording), load_config(config)
+    opened, settings = split(open_recording(recording)), load_config(config)
     lenses = read_intrinsics(intrinsics) if intrinsics else {}
     found = detections_from(opened, corners, settings.detect, workers, progress) if corners else None
     fits, _ = depth_of_recording(opened, lenses, settings, found, workers, progress)
+    mounts = {name: info.mount.camera for name, info in opened.cameras.items() if info.mount is not None}
+    fits = {mounts.get(name, name): fit for name, fit in fits.items()}
     statistics = {name: {"samples": samples_of(fit)} for name, fit in fits.items()}
     provenance = {**provenance_of(settings), "recording": str(recording), "recording_sha256": opened.digest()}
     write_depth_bias(output, {name: fit.bias for name, fit in fits.items()}, statistics, {}, provenance)

@@ -43,9 +43,10 @@ def command(recording: Path, output: Path, config: Path | None, workers: Workers
     from rgbd_calib.io.correspondences import write_corners
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.pipeline.config import load_config
+    from rgbd_calib.pipeline.depth_cameras import split
     from rgbd_calib.pipeline.detection import detect
 
-    opened, settings = open_recording(recording), load_config(config)
+    opened, settings = split(open_recording(recording)), load_config(config)
     found = detect(opened, settings.detect, workers, progress)
     write_corners(output, found.views)
     for camera, files in opened.color_files.items():

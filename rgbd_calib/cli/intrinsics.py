@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,12 +48,14 @@ def command(
     from rgbd_calib.io.rig import write_intrinsics
     from rgbd_calib.pipeline.calibrate import provenance_of
     from rgbd_calib.pipeline.config import load_config
+    from rgbd_calib.pipeline.depth_cameras import split
     from rgbd_calib.pipeline.detection import detections_from
     from rgbd_calib.pipeline.prepare import intrinsics_of_views
 
-    opened, settings = open_recording(recording), load_config(config)
+    opened, settings = split(open_recording(recording)), load_config(config)
     found = detections_from(opened, corners, settings.detect, workers, progress)
-    results = intrinsics_of_views(opened, found, settings)
+    seeing = [name for name, files in opened.color_files.items() if files]
+    results = intrinsics_of_views(opened, found, settings, seeing)
     statistics = {
         name: {
             "intrinsics_sd": result.standard_deviation,
@@ -66,6 +69,10 @@ def command(
     }
     provenance = {**provenance_of(settings), "recording": str(recording), "recording_sha256": opened.digest()}
     lenses = {name: result.intrinsics for name, result in results.items()}
+    for name, info in opened.cameras.items():
+        if info.mount is not None and name in lenses:  # of its infrared images
+            own = {"width": info.width, "height": info.height, "intrinsics": asdict(lenses.pop(name))}
+            statistics[info.mount.camera] |= {"depth": own, "depth_statistics": statistics.pop(name)}
     write_intrinsics(output, lenses, statistics, {}, provenance)
     for name, result in results.items():
         lens, sd = result.intrinsics, result.standard_deviation

@@ -36,12 +36,13 @@ def update(
     from rgbd_calib.io.rig_update import write_update
     from rgbd_calib.pipeline.calibrate import provenance_of
     from rgbd_calib.pipeline.config import load_config
+    from rgbd_calib.pipeline.depth_cameras import split
     from rgbd_calib.pipeline.detection import detections_from
     from rgbd_calib.pipeline.update import update_camera
     from rgbd_calib.pipeline.world import rig_in_world
 
     settings = load_config(config, seed=seed)
-    rig, opened = read_rig(rig_path), open_recording(recording)
+    rig, opened = read_rig(rig_path), split(open_recording(recording))
     if only is None:
         assert world is not None
         found = (

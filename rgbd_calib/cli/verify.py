@@ -57,12 +57,13 @@ def command(
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.io.rig import read_rig
     from rgbd_calib.pipeline.config import load_config
+    from rgbd_calib.pipeline.depth_cameras import split
     from rgbd_calib.pipeline.detection import detections_from
     from rgbd_calib.pipeline.rig_inputs import left_out
     from rgbd_calib.pipeline.verify import summary, verify
     from rgbd_calib.trust.displacement import VerdictParams
 
-    rig, opened, settings = read_rig(rig_path), open_recording(recording), load_config(config)
+    rig, opened, settings = read_rig(rig_path), split(open_recording(recording)), load_config(config)
     if left_out(opened, rig):
         say(left_out(opened, rig))
     found = detections_from(opened, corners, settings.detect, workers, progress)

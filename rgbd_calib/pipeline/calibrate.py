@@ -178,6 +178,8 @@ def calibrate(
         "depth_bias": views.depth.origin,
     }
     rig = depth_cameras.joined(rig, recording.cameras, joint)
+    for key in {"expected_alignment", "alignment_on_recording"} & set(quality):
+        quality[key]["pairs"] = depth_cameras.by_device(quality[key]["pairs"])
     rig = replace(rig, quality={"method": config.method, **plain(quality)}, provenance=provenance)
     return Calibration(rig, views, placed, data, boards, residuals, joint, evaluation)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -106,6 +107,17 @@ def _covariance(color: RigCamera, name: str, depth: str, joint: JointCovariance 
     return np.asarray(J @ joint.matrix[np.ix_(at, at)] @ J.T)
 
 
+def by_device(pairs: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Numbers of pairs of cameras by the devices that these are of; of one device's own two sensors as they are."""
+    out: dict[str, dict[str, Any]] = {}
+    for key, numbers in pairs.items():
+        a, b = (name.removesuffix(name_of("")) for name in key.split(" - "))
+        name = key if a == b else f"{a} - {b}"
+        if numbers.get("points", 1) or name not in out:
+            out[name] = {**out.get(name, {}), **numbers}
+    return out
+
+
 def without_corners(recording: Recording) -> dict[str, Mount]:
     """Depth cameras of a split recording that have no infrared images, by name."""
     return {
@@ -131,6 +143,8 @@ def predicted_views(
     """
     out = []
     for name, mount in without_corners(recording).items():
+        if name not in T_world_color or mount.camera not in T_world_color:
+            continue
         T_depth_color = se3.inverse(T_world_color[name]) @ T_world_color[mount.camera]
         for one in placed:
             if one.view.camera == mount.camera and recording.has_depth(name, one.view.frame):

@@ -192,8 +192,8 @@ def _check_files(recording: Recording) -> list[Finding]:
     own = tuple(c for c, info in recording.cameras.items() if info.depth is not None)
     if own:
         text = (
-            f"{', '.join(own)}: depth is not registered to colour; it is not looked at here. Register it with the sensor's own "
-            "software where registered depth is needed"
+            f"{', '.join(own)}: depth is not registered to colour; its images are not looked at here. `rgbd-calib calibrate` finds "
+            "its geometry"
         )
         findings.append(Finding("not registered", own, (), False, text))
     return findings

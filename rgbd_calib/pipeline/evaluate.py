@@ -21,6 +21,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_boards, read_rig
 from rgbd_calib.pipeline.config import Config
+from rgbd_calib.pipeline.depth_cameras import predicted_views, split, split_rig
 from rgbd_calib.pipeline.detection import Progress, detections_from
 from rgbd_calib.pipeline.rig_inputs import board_for, common_cameras
 from rgbd_calib.pipeline.workers import Workers
@@ -154,6 +155,7 @@ def against_views(rig: Rig, placed: Sequence[PlacedView], board: Board) -> Evalu
     pairs = [
         PairAlignment(key, *(np.concatenate([row[k] for row in rows]) for k in range(3))) for key, rows in found.items()
     ]
+    pairs = [pair for pair in pairs if len(pair.distance_m) or len(pair.transfer_px)]
     return Evaluation(tuple(pairs), {})
 
 
@@ -170,10 +172,15 @@ def evaluate_recording(
     rig_path: Path, path: Path, corners: Path | None, config: Config, workers: Workers | None, progress: Progress
 ) -> dict[str, Any]:
     """Summary of a rig file against a recording of the board."""
-    rig, recording = read_rig(rig_path), open_recording(path)
+    recording = split(open_recording(path))
+    rig = split_rig(read_rig(rig_path), recording)
     board, shared = board_for(recording, rig), common_cameras(recording, rig)
     found = detections_from(recording, corners, config.detect, workers, progress)
-    return against_views(rig, place_views(rig, found.views, board, shared, config), board).summary()
+    placed = place_views(rig, found.views, board, shared, config)
+    lenses = {name: rig.cameras[name].intrinsics for name in shared}
+    poses = {name: rig.cameras[name].T_world_color for name in shared}
+    read = predicted_views(placed, recording, lenses, poses, board)
+    return against_views(rig, (*placed, *read), board).summary()
 
 
 def place_views(

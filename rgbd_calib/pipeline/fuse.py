@@ -13,8 +13,13 @@ from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import whole_file
 from rgbd_calib.io.recording import Recording
-from rgbd_calib.pipeline.rig_inputs import check_frame, common_cameras
+from rgbd_calib.pipeline.rig_inputs import check_depth_geometry, check_frame, common_cameras
 from rgbd_calib.types import Rig
+
+GREY = np.uint8(128)
+"""Of points of which no colour is known."""
+MARGIN_PX = 4
+"""Depth that is registered to colour is not quite, and may reach a little beyond its image."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +120,8 @@ def _is_whole(path: Path, points: int) -> bool:
 
 def _cloud(recording: Recording, rig: Rig, name: str, frame: str, params: FuseParams) -> Cloud:
     camera = rig.cameras[name]
-    depth_m = recording.depth_m(name, frame)
+    check_depth_geometry(recording, name, camera)
+    depth_m = recording.depth_own_m(name, frame)
     measured = np.isfinite(depth_m)
     jump = on_jump(depth_m, params.jump)
     p_color = camera.depth_image.points(depth_m)
@@ -124,11 +130,13 @@ def _cloud(recording: Recording, rig: Rig, name: str, frame: str, params: FusePa
     kept = measured & ~jump & ~far & ~lost
     p_color = p_color[kept]
     if frame in recording.color_files[name]:
-        at = np.rint(camera.intrinsics.project(p_color)).astype(int)
-        u, v = np.clip(at, 0, np.array([camera.intrinsics.width, camera.intrinsics.height]) - 1).T
-        colors = recording.color(name, frame)[v, u, ::-1]
+        at = np.rint(np.nan_to_num(camera.intrinsics.project(p_color), nan=-1e6)).astype(int)
+        size = np.array([camera.intrinsics.width, camera.intrinsics.height])
+        u, v = np.clip(at, 0, size - 1).T
+        shown = np.all((at > -MARGIN_PX) & (at < size - 1 + MARGIN_PX), axis=1)  # depth may see more than colour does
+        colors = np.where(shown[:, None], recording.color(name, frame)[v, u, ::-1], GREY)
     else:
-        colors = np.full((len(p_color), 3), 128, np.uint8)
+        colors = np.full((len(p_color), 3), GREY)
     dropped = {
         "edge": int(np.count_nonzero(jump)),
         "too far": int(np.count_nonzero(far)),

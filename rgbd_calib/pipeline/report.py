@@ -21,10 +21,11 @@ from rgbd_calib.io.rig import board_in, read_boards, read_depth_bias_samples, re
 from rgbd_calib.io.tables import short
 from rgbd_calib.io.text import valid
 from rgbd_calib.pipeline import fuse
+from rgbd_calib.pipeline.depth_cameras import name_of
 from rgbd_calib.pipeline.rig_inputs import common_cameras
 from rgbd_calib.report import splat
 from rgbd_calib.report.page import Contents, Picture, render
-from rgbd_calib.types import Board, Rig, RigCamera
+from rgbd_calib.types import Board, DepthCamera, Rig, RigCamera
 
 VIEWS = {"oblique": "from the side", "top": "from above"}
 EDGE_ON = "the board alone, edge on"
@@ -113,11 +114,18 @@ def before(rig: Rig) -> Rig:
     for name, own in rig.cameras.items():
         if name in start:
             entry = start[name]
-            lens = Intrinsics(**{**entry["intrinsics"], "distortion": tuple(entry["intrinsics"]["distortion"])})
-            cameras[name] = RigCamera(lens, T_world_start @ np.array(entry["T_world_color"]), np.zeros((6, 6)))
+            T = np.array(entry["T_world_color"])
+            depth, beside = None, start.get(name_of(name))
+            if beside is not None:
+                depth = DepthCamera(_lens(beside), se3.inverse(T) @ np.array(beside["T_world_color"]))
+            cameras[name] = RigCamera(_lens(entry), T_world_start @ T, np.zeros((6, 6)), depth_camera=depth)
         else:
             cameras[name] = RigCamera(own.intrinsics, own.T_world_color, np.zeros((6, 6)))
     return Rig(rig.reference, cameras)
+
+
+def _lens(entry: Mapping[str, Any]) -> Intrinsics:
+    return Intrinsics(**{**entry["intrinsics"], "distortion": tuple(entry["intrinsics"]["distortion"])})
 
 
 def _pictures(recording: Recording, rig: Rig, boards: Mapping[str, FloatArray]) -> tuple[tuple[Picture, ...], str]:

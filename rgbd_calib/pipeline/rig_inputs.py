@@ -10,7 +10,7 @@ from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.rig import board_in
 from rgbd_calib.io.tables import short
 from rgbd_calib.pipeline.detection import board_of
-from rgbd_calib.types import Board, Rig
+from rgbd_calib.types import Board, Rig, RigCamera
 
 
 def common_cameras(recording: Recording, rig: Rig) -> tuple[str, ...]:
@@ -39,6 +39,25 @@ def common_cameras(recording: Recording, rig: Rig) -> tuple[str, ...]:
     return shared
 
 
+def check_depth_geometry(recording: Recording, name: str, camera: RigCamera) -> None:
+    """Refuse depth images of another geometry than the rig's depth camera has.
+
+    Raises
+    ------
+    ConfigError
+        Depth that is not registered, and a rig of registered depth; or the reverse; or another size.
+    """
+    info, sensor = recording.cameras[name], camera.depth_sensor.camera.intrinsics
+    registered = info.depth is None
+    if info.depth_size != (sensor.width, sensor.height) or (not registered and camera.depth_camera is None):
+        seen = "registered to colour" if registered else "not registered to colour"
+        raise ConfigError(
+            f"{recording.path}: camera {name}: depth of {info.depth_size[0]}x{info.depth_size[1]} px, {seen}; the rig's depth is "
+            f"of {sensor.width}x{sensor.height} px. The geometry that it was calibrated with is needed: calibrate with depth as "
+            "it is recorded here"
+        )
+
+
 def board_for(recording: Recording, rig: Rig) -> Board:
     """The recording's board, with the shape that the rig found of the same board.
 
@@ -65,7 +84,8 @@ def left_out(recording: Recording, rig: Rig) -> str:
         (recording.cameras, rig.cameras, "not in the rig"),
         (rig.cameras, recording.cameras, "not in the recording"),
     ):
-        missing = [name for name in names if name not in others]
+        mounted = [name for name, info in recording.cameras.items() if info.mount is not None]
+        missing = [name for name in names if name not in others and name not in mounted]
         if missing:
             parts.append(f"{', '.join(missing)} {where}")
     return f"Left out: {'; '.join(parts)}" if parts else ""
