@@ -212,5 +212,5 @@ def test_a_real_kinect_v2_is_fused_by_its_own_geometry(
 def test_squares_that_depth_contradicts_are_named(run, real_data: Callable[[str], Path], tmp_path: Path) -> None:
     """The published calibration of this Kinect v1 has a baseline of 35 mm for 25 mm: so wrong are its squares."""
     result = run("calibrate", real_data("kinect1_xw"), "-o", tmp_path / "rig.yaml")
-    assert result.code == 1
+    assert result.status == 1
     assert "measure the board's squares (40 mm stated)" in result.stderr

@@ -13,7 +13,6 @@ from rgbd_calib.geometry.so3 import FloatArray
 
 REACH_PX = 0.52
 """Half the side of a pixel, and a little, so that pixels that stand beside each other leave no gap."""
-AROUND = range(-1, 2)
 
 
 class DepthImage:
@@ -35,21 +34,23 @@ class DepthImage:
         return se3.transform(self._sensor.camera.T_color_depth, z_m[..., None] * self._rays)
 
 
-def seen_by(points_m: FloatArray, lens: Intrinsics) -> FloatArray:
+def seen_by(points_m: FloatArray, lens: Intrinsics, pixel: float = 1.0) -> FloatArray:
     """Depth image (height, width), metres, of points (..., 3) in the frame of a camera with this lens; NaN where there is none.
 
-    The nearest point of a pixel counts (z-buffer). Each point covers the square of one pixel, and no more: what the sensor did
-    not see stays empty.
+    The nearest point of a pixel counts (z-buffer). Each point covers the square of one pixel of its sensor, which is `pixel`
+    pixels of this camera wide, and no more: what the sensor did not see stays empty.
     """
+    reach_px = REACH_PX * pixel
+    around = range(-int(reach_px + 0.5), int(reach_px + 0.5) + 1)
     flat = points_m.reshape(-1, 3)
     flat = flat[np.isfinite(flat).all(axis=1) & (flat[:, 2] > 0)]
     pixels, z_m = lens.project(flat), flat[:, 2]
     inside = np.isfinite(pixels).all(axis=1) & (np.abs(2 * pixels + 1 - lens.size_px) <= lens.size_px + 2).all(axis=1)
     pixels, z_m = pixels[inside], z_m[inside]
     nearest, middle = np.full((lens.height, lens.width), np.inf), np.rint(pixels).astype(int)
-    for step in product(AROUND, AROUND):
+    for step in product(around, around):
         at = middle + step
-        hit = (np.abs(at - pixels) <= REACH_PX).all(axis=1) & (at >= 0).all(axis=1) & (at < lens.size_px).all(axis=1)
+        hit = (np.abs(at - pixels) <= reach_px).all(axis=1) & (at >= 0).all(axis=1) & (at < lens.size_px).all(axis=1)
         u, v = at[hit].T
         np.minimum.at(nearest, (v, u), z_m[hit])
     return np.where(np.isfinite(nearest), nearest, np.nan)

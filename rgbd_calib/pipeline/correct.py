@@ -24,7 +24,7 @@ from rgbd_calib.io.reading import read_bytes
 from rgbd_calib.io.recording import Recording, save_color, save_depth, write_dataset
 from rgbd_calib.io.rig import write_rig
 from rgbd_calib.pipeline.detection import Progress, silent
-from rgbd_calib.pipeline.rig_inputs import common_cameras
+from rgbd_calib.pipeline.rig_inputs import check_depth_geometry, common_cameras
 from rgbd_calib.types import Rig, RigCamera
 
 _TABLES = ("timestamps.csv", "distances.csv")
@@ -79,7 +79,8 @@ def correct_depth(depth_raw: np.ndarray, scale: float, camera: RigCamera) -> tup
     """
     bias, measured, z_m = camera.depth_bias, depth_raw > 0, depth_raw * scale
     if camera.depth_field is not None or camera.depth_camera is not None:
-        true_m = seen_by(camera.depth_image.points(np.where(measured, z_m, np.nan)), camera.intrinsics)
+        lens, points_m = camera.intrinsics, camera.depth_image.points(np.where(measured, z_m, np.nan))
+        true_m = seen_by(points_m, lens, max(1.0, lens.fx / camera.depth_sensor.camera.intrinsics.fx))
     elif bias is not None:
         true_m = np.where(measured, bias.correct(z_m), np.nan)
     else:
@@ -110,6 +111,9 @@ def correct(
         A damaged image, a rig of other cameras, a recording that is corrected already.
     """
     cameras = common_cameras(recording, rig)
+    for c in cameras:
+        if recording.depth_files[c]:
+            check_depth_geometry(recording, c, rig.cameras[c])
     fitting = _rig_of_corrected(rig, cameras, undistort)
     infos = {
         c: replace(
@@ -117,6 +121,7 @@ def correct(
             intrinsics=fitting.cameras[c].intrinsics,
             depth_scale=min(recording.cameras[c].depth_scale, _COARSEST_M),
             invalid=(),
+            depth=None,
             float_unit_m=1.0,
         )
         for c in cameras
@@ -135,7 +140,7 @@ def correct(
 
     def do_depth(camera: str, frame: str) -> tuple[int, int]:
         info, to = infos[camera], maps[camera]
-        units = np.nan_to_num(np.rint(recording.depth_m(camera, frame) / info.depth_scale))
+        units = np.nan_to_num(np.rint(recording.depth_own_m(camera, frame) / info.depth_scale))
         depth_raw = np.where(units < NO_MEASUREMENT, units, 0).astype(np.uint16)
         corrected, lost, held = correct_depth(depth_raw, info.depth_scale, rig.cameras[camera])
         save_depth(out, camera, frame, corrected if to is None else _nearest(corrected, to))
