@@ -90,25 +90,37 @@ def wall_cells(depth_m: FloatArray) -> WallCells:
     h, w = depth_m.shape
     side = max(round(w / CELLS_ACROSS), 1)
     rows, columns = -(-h // side), -(-w // side)
-    v, u = np.mgrid[:h, :w]
-    q = 1.0 / depth_m
+    with np.errstate(divide="ignore"):
+        q = 1.0 / depth_m
     on_wall = np.isfinite(q)
-    A = np.column_stack([(u / w - 0.5).ravel(), (v / h - 0.5).ravel(), np.ones(h * w)])
+    q = np.where(on_wall, q, 0.0)
+    x, y = np.arange(w) / w - 0.5, np.arange(h)[:, None] / h - 0.5
     plane = np.array([0.0, 0.0, float(np.median(q[on_wall]))]) if on_wall.any() else np.zeros(3)
-    near = on_wall.ravel()
     for tolerance in (0.3, 0.15, OFF_WALL, OFF_WALL):  # from any tilt to the wall's own
-        expected = A @ plane
-        near = on_wall.ravel() & (np.abs(q.ravel() - expected) < tolerance * expected)
+        expected = plane[0] * x + (plane[1] * y + plane[2])
+        near = on_wall & (np.abs(q - expected) < tolerance * expected)
         if near.sum() < MIN_VALID_SHARE * h * w:
             return _no_cells(rows, columns, side)
-        plane = np.linalg.solve(A[near].T @ A[near], A[near].T @ q.ravel()[near])
-    cell = ((v // side) * columns + u // side).ravel()
+        plane = _plane(x, y[:, 0], near.astype(float), np.where(near, q, 0.0))
+    v, u = np.mgrid[:h, :w]
+    cell, near = ((v // side) * columns + u // side).ravel(), near.ravel()
     size, count = (np.bincount(c, minlength=rows * columns) for c in (cell, cell[near]))
     mean = np.bincount(cell[near], q.ravel()[near], minlength=rows * columns) / np.maximum(count, 1)
     at = np.stack([np.bincount(cell, x.ravel()) / size for x in (u, v)], axis=-1)
     seen = count >= MIN_CELL_SHARE * size
     z = np.where(seen, 1 / np.where(seen, mean, 1.0), 1.0)
     return WallCells(at.reshape(rows, columns, 2), z.reshape(rows, columns), seen.reshape(rows, columns))
+
+
+def _plane(x: FloatArray, y: FloatArray, w: FloatArray, wq: FloatArray) -> FloatArray:
+    """a, b, c of the least squares q = a x + b y + c over an image, from sums along its rows and columns.
+
+    x (columns,), y (rows,), the weights w and the weighted values wq (rows, columns).
+    """
+    along, down = w.sum(axis=0), w.sum(axis=1)
+    xx, yy, xy = along @ x**2, down @ y**2, y @ w @ x
+    A = np.array([[xx, xy, along @ x], [xy, yy, down @ y], [along @ x, down @ y, down.sum()]])
+    return np.linalg.solve(A, [wq.sum(axis=0) @ x, wq.sum(axis=1) @ y, wq.sum()])
 
 
 def _no_cells(rows: int, columns: int, side: int) -> WallCells:
