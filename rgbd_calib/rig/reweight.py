@@ -59,6 +59,8 @@ SIZE_STEP = 0.6
 """Of the way to the new size, as logarithms: what a size makes of the estimate is not linear, and a full step may swing."""
 SIZE_ROUNDS = 50
 """Of the sizes of variance components and their parameters."""
+SIZE_TOLERANCE = 1e-4
+"""Relative change of the squares of the sizes that ends them: a hundredth of what counts as a change of the weights."""
 MIN_REDUNDANCY = 10.0
 """A group with less takes the variance of all cameras together."""
 
@@ -128,13 +130,17 @@ def _sizes(problem: Problem, state: State, covariance: Covariance) -> dict[str, 
         R = [component.structure for _, component in group]
         size2 = np.array([sizes[component.name] ** 2 for _, component in group])
         C_now, now, before = covariance.of_globals[np.ix_(at, at)], theta[at], _prior(R, size2, parts)
+        right = np.column_stack([C_now, now])
         for _ in range(SIZE_ROUNDS):
             more = np.eye(len(at)) + C_now @ (_prior(R, size2, parts) - before)
-            C, own = np.linalg.solve(more, C_now), np.linalg.solve(more, now)
+            solved = np.linalg.solve(more, right)
+            C, own, last = solved[:, :-1], solved[:, -1], size2.copy()
             for k, (part, (_, c)) in enumerate(zip(parts, group, strict=True)):
                 n_told = max(len(R[k]) - float(np.sum(C[part, part] * R[k])) / size2[k], 0.0)
                 squares = c.dof * c.usual**2 + float(own[part] @ R[k] @ own[part])
                 size2[k] = min(squares / (c.dof + n_told), c.most**2)
+            if np.all(np.abs(np.log(size2 / last)) < SIZE_TOLERANCE):
+                break
         for (_, c), size in zip(group, size2, strict=True):
             sizes[c.name] *= (float(np.sqrt(size)) / sizes[c.name]) ** SIZE_STEP
     return sizes
