@@ -14,11 +14,12 @@ rest is solved.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.fft import dctn, idctn
 
-from rgbd_calib.geometry.depth_error import CellPattern, terms
+from rgbd_calib.geometry.depth_error import CellPattern, ErrorOfDepth, terms
 from rgbd_calib.geometry.linear import BoolArray, IntArray
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks import depth_field
@@ -44,6 +45,17 @@ class LocalField(CellPattern):
     """(bands, powers, powers), covariance of the pattern's spectrum."""
     noise: FloatArray
     """(bands,), variance of the spectrum of one wall's error over z^2."""
+
+    def error_m(self, pixels_px: FloatArray, z_m: FloatArray, size_px: FloatArray) -> FloatArray:
+        key = pixels_px.shape, pixels_px.tobytes(), tuple(size_px)
+        if key not in self._kept:
+            self._kept[key] = self.at(pixels_px, size_px)
+        return np.asarray(self._kept[key](z_m))
+
+    @cached_property
+    def _kept(self) -> dict[tuple[object, ...], ErrorOfDepth]:
+        """The pattern at pixels that were asked for: corners and cells do not move while the rest is solved."""
+        return {}
 
 
 def local_fields(problem: Problem, state: State) -> tuple[LocalField | None, ...]:
@@ -83,24 +95,27 @@ def local_field(
     z = np.sum(depth_m * known, axis=(1, 2)) / known.sum(axis=(1, 2))
     A = z[:, None] ** (np.array(POWERS, float) - 2)  # (walls, powers)
     band = _bands(*q.shape[1:])
+    members = [np.flatnonzero(band.ravel() == b) for b in range(BANDS)]
     count = np.bincount(band.ravel(), minlength=BANDS)
     noise = np.full(BANDS, float(np.mean(q[known] ** 2)))
     sizes = np.eye(len(POWERS)) * noise[:, None, None]
     if start is not None:
         sizes, noise = start.sizes, start.noise
-    filled = q
-    for _ in range(ROUNDS):
-        at = dctn(filled, axes=(1, 2), norm="ortho")  # (walls, rows, columns)
+    at = dctn(q, axes=(1, 2), norm="ortho")  # (walls, rows, columns)
+    for k in range(ROUNDS):
         posterior = np.linalg.inv(np.linalg.inv(sizes) + A.T @ A / noise[:, None, None])  # (bands, powers, powers)
-        mean = np.einsum("rcpq,wq,wrc->rcp", posterior[band], A, at) / noise[band][..., None]
-        outer = np.zeros((BANDS, len(POWERS), len(POWERS)))
-        np.add.at(outer, band.ravel(), (mean[..., :, None] * mean[..., None, :]).reshape(-1, *outer.shape[1:]))
+        of_powers = np.einsum("wq,wrc->rcq", A, at, optimize=True) / noise[band][..., None]
+        mean = (posterior[band] @ of_powers[..., None])[..., 0]
+        flat = mean.reshape(-1, len(POWERS))
+        outer = np.stack([flat[own].T @ flat[own] for own in members])
         sizes = outer / count[:, None, None] + posterior
-        left = np.sum((at - np.einsum("wp,rcp->wrc", A, mean)) ** 2, axis=0)
+        left = np.sum((at - np.einsum("wp,rcp->wrc", A, mean, optimize=True)) ** 2, axis=0)
         lost = np.einsum("wp,bpq,wq->b", A, posterior, A)
         noise = (np.bincount(band.ravel(), left.ravel(), BANDS) / count / known.mean() + lost) / len(q)
-        values = idctn(mean, axes=(0, 1), norm="ortho")
-        filled = np.where(known, q, np.einsum("wp,rcp->wrc", A, values))
+        if k == ROUNDS - 1 or not known.all():
+            values = idctn(mean, axes=(0, 1), norm="ortho")
+        if not known.all():
+            at = dctn(np.where(known, q, np.einsum("wp,rcp->wrc", A, values)), axes=(1, 2), norm="ortho")
     covariance = np.einsum("b,bpq->pq", count / band.size, posterior)
     return LocalField(POWERS, values.transpose(2, 0, 1), covariance, sizes=sizes, noise=noise)
 

@@ -242,7 +242,7 @@ class Problem:
                 continue
             tape = state.values["tape"][c, 0] if "tape" in self.parts else 0.0
             at, z = walls.pixels_px[mine], walls.depth_m[mine]
-            rays = self.setup.priors[c].intrinsics.rays(at)[..., :2]
+            rays = self.setup.wall_rays[mine]
             distance_m = walls.written_m[mine] + tape
             ahead, by_wall = state.walls.ahead(mine, distance_m, walls.tilts[mine], np.nan_to_num(rays))
             corrected, slope = self.corrected(state, c, at, z)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -170,3 +171,12 @@ class Setup:
     def sizes_px(self) -> FloatArray:
         """(C, 2), width and height of the images."""
         return np.array([prior.intrinsics.size_px for prior in self.priors])
+
+    @cached_property
+    def wall_rays(self) -> FloatArray:
+        """(W, N, 2), of the cells of walls by the lenses at the start; NaN where there is none."""
+        out = np.zeros(self.walls.pixels_px.shape)
+        for c, prior in enumerate(self.priors):
+            mine = self.walls.camera == c
+            out[mine] = prior.intrinsics.rays(self.walls.pixels_px[mine])[..., :2]
+        return out

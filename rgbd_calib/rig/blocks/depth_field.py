@@ -9,14 +9,12 @@ too: with nothing to tell it stays at what is usual, and where there is nothing 
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 
 from rgbd_calib.geometry.depth_error import FIELD_AT_M, n_terms, over_image, terms
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import BlockPrior, Component
-from rgbd_calib.rig.blocks.depth_error import DepthErrorBlock
+from rgbd_calib.rig.blocks.depth_error import DepthErrorBlock, Kept
 
 DEGREE = 8
 """Eight shapes across the image; what is rougher, only walls show."""
@@ -82,23 +80,21 @@ class DepthField(DepthErrorBlock):
         return error, error / depth_m * (p + 2 * q * log)
 
     def by_parameters(
-        self, camera: int, own: FloatArray, pixels_px: FloatArray, depth_m: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        T, (p, q), log = self._shapes(camera, pixels_px), own[-2:], np.log(depth_m / FIELD_AT_M)[..., None]
-        pattern = (T @ own[:-2])[..., None]
-        error = np.concatenate([T, pattern * log, pattern * log**2], axis=-1) * np.exp((p + q * log) * log)
-        slope = error * (p + 2 * q * log)
-        slope[..., -2:] += np.concatenate([pattern, 2 * pattern * log], axis=-1) * np.exp((p + q * log) * log)
-        return error, slope / depth_m[..., None]
+        self, camera: int, own: FloatArray, pixels_px: FloatArray, depth_m: FloatArray, left_m: FloatArray
+    ) -> FloatArray:
+        T, (p, q), log = self._shapes(camera, pixels_px), own[-2:], np.log(depth_m / FIELD_AT_M)
+        grown, pattern = np.exp((p + q * log) * log), T @ own[:-2]
+        slope = left_m / depth_m
+        both = grown * (1 + slope * (p + 2 * q * log))
+        out = np.empty((*T.shape[:-1], self.n))
+        np.multiply(T, both[..., None], out=out[..., :-2])
+        out[..., -2] = pattern * (both * log + slope * grown)
+        out[..., -1] = pattern * (both * log + 2 * slope * grown) * log
+        return out
 
     def _shapes(self, camera: int, pixels_px: FloatArray) -> FloatArray:
-        key = camera, pixels_px.shape, pixels_px.tobytes()
-        if key not in self._seen:
+        def make() -> Kept:
             x, y = over_image(pixels_px, self.setup.sizes_px[camera])
-            self._seen[key] = np.asarray(terms(x, y, DEGREE)[..., 1:])
-        return self._seen[key]
+            return (np.asarray(terms(x, y, DEGREE)[..., 1:]),)
 
-    @cached_property
-    def _seen(self) -> dict[tuple[int, tuple[int, ...], bytes], FloatArray]:
-        """Shapes at pixels that were asked for: they do not move while the rest is solved."""
-        return {}
+        return self.kept(make, camera, pixels_px)[0]

@@ -71,8 +71,9 @@ class DepthRange(LinearDepthErrorBlock):
         t = np.clip(2 * (depth_m * s - low) / (high - low) - 1, -1, 1)
         inside = np.abs(t) < 1
         by_t = legendre.legder(np.eye(DEGREE + 1)[:, RIPPLE_FROM:])  # (DEGREE, n): derivatives of the shapes as series
-        slopes = np.moveaxis(legendre.legval(t, by_t), 0, -1) * (2 / (high - low)) * inside[..., None]
-        return legendre.legvander(t, DEGREE)[..., RIPPLE_FROM:] / s[..., None], slopes
+        P = legendre.legvander(t, DEGREE)
+        slopes = P[..., :DEGREE] @ by_t * ((2 / (high - low)) * inside)[..., None]
+        return P[..., RIPPLE_FROM:] / s[..., None], slopes
 
     def _stretch(self, camera: int, pixels_px: FloatArray) -> FloatArray:
         """(...), length of the pixels' rays (x, y, 1) by the lens at the start, where the error is along them; else 1."""
