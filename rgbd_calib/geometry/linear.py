@@ -122,6 +122,14 @@ class Pattern:
         return out
 
 
+def _alike(rows: IntArray) -> list[IntArray]:
+    """Numbers of the equal ones among rows (n, k), group by group."""
+    if np.all(rows == rows[0]):
+        return [np.arange(len(rows))]
+    which = np.unique(rows, axis=0, return_inverse=True)[1].ravel()
+    return [np.flatnonzero(which == k) for k in range(which.max() + 1)]
+
+
 class Assembly:
     """Normal equations under construction."""
 
@@ -149,10 +157,8 @@ class Assembly:
         by_unit = np.einsum("nirs,nird->nisd", rows.J_point, rows.J_unit).reshape(n, N * s, -1)
         self._couple(rows.units, rows.point_columns.reshape(n, -1), by_unit)
         # views that see the same points are added up before they are scattered
-        patterns, which = np.unique(rows.point_columns.reshape(n, -1), axis=0, return_inverse=True)
-        for k, own in enumerate(patterns):
-            mine = np.flatnonzero(which.ravel() == k)
-            own = own.reshape(N, s)
+        for mine in _alike(rows.point_columns.reshape(n, -1)):
+            own = rows.point_columns[mine[0]]
             J_point = rows.J_point[mine].transpose(1, 3, 0, 2).reshape(N, s, -1)
             J = rows.J[mine].transpose(1, 0, 2, 3).reshape(N, J_point.shape[-1], -1)
             cross = J_point @ J
@@ -166,7 +172,7 @@ class Assembly:
         """Adds (n, k, D) to W at units (n,) and globals (n, k)."""
         own = self._pattern
         group = own.group[units]
-        for g in np.unique(group):
+        for g in np.flatnonzero(np.bincount(group)):
             mine = group == g
             at = own.position[g, columns[mine]]
             np.add.at(self._W[g], (own.place[units[mine]][:, None], at), values[mine])
