@@ -235,5 +235,3 @@ class CameraSnapshot:
     """(h, w) of the depth image, metres as measured, NaN where there is none."""
     frames: int
     """Depth images in the mean."""
-    noise_m: FloatArray | None = None
-    """(h, w) standard deviation of a single reading; None where there was one image."""

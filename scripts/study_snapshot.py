@@ -106,13 +106,12 @@ class SceneStudy:
 
     def look(self, camera: str, caster: Caster, T_old_new: np.ndarray | None = None) -> Sight:
         T = self.truth.T_room_color[camera]
-        return look(self.truth, self.params, camera, T if T_old_new is None else T @ T_old_new, caster)
+        return look(self.truth, self.params, camera, T if T_old_new is None else T @ T_old_new, caster, self.rng)
 
     def take(self, camera: str, sight: Sight, change: SceneChange | None = None) -> CameraSnapshot:
         taken = take(sight, self.truth, self.params, camera, self.setup.frames, self.rng, change)
         stack = np.where(taken.depth_raw > 0, taken.depth_raw / 1000, np.nan).astype(np.float32)
-        mean_m, noise_m = averaged(stack)
-        return CameraSnapshot(camera, taken.color, mean_m, self.setup.frames, noise_m)
+        return CameraSnapshot(camera, taken.color, averaged(stack), self.setup.frames)
 
     def compare(
         self, what: str, change: SceneChange, sights: dict[str, Sight], before: dict[str, Before] | None = None

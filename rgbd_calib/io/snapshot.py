@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -29,37 +29,29 @@ def read_snapshot(recording: Recording, camera: str) -> CameraSnapshot | None:
     if len(frames) > MOST_FRAMES:
         frames = [frames[i] for i in np.linspace(0, len(frames) - 1, MOST_FRAMES).round().astype(int)]
     stack = np.stack([recording.depth_own_m(camera, frame).astype(np.float32) for frame in frames])
-    mean_m, noise_m = averaged(stack)
-    return CameraSnapshot(camera, recording.color(camera, next(iter(color))), mean_m, len(frames), noise_m)
+    return CameraSnapshot(camera, recording.color(camera, next(iter(color))), averaged(stack), len(frames))
 
 
-def read_snapshots(recording: Recording, cameras: tuple[str, ...]) -> Iterator[CameraSnapshot]:
-    """Those of these cameras that have depth and colour."""
-    for camera in cameras:
-        snapshot = read_snapshot(recording, camera)
-        if snapshot is not None:
-            yield snapshot
+def kept_beside(rig_path: Path) -> Path:
+    """Folder of the snapshot that is kept with a rig file: rig.snapshot beside rig.yaml."""
+    return rig_path.with_name(f"{rig_path.stem}.snapshot")
 
 
-def averaged(stack_m: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Mean (h, w), float64, and deviation of a single reading (h, w), of depth images (n, h, w), metres, NaN where there is none.
+def averaged(stack_m: np.ndarray) -> np.ndarray:
+    """Mean (h, w), float64, of depth images (n, h, w), metres, NaN where there is none.
 
-    A pixel that fewer than half of the images measured is NaN. One image has no deviation: None.
+    A pixel that fewer than half of the images measured is NaN.
     """
-    if len(stack_m) == 1:
-        return stack_m[0].astype(float), None
     n, shape = len(stack_m), stack_m.shape[1:]
+    if n == 1:
+        return stack_m[0].astype(float)
     # sorted, NaN last: medians without the cost of nanmedian
     ordered = np.sort(stack_m, axis=0).reshape(n, -1)
     count = np.count_nonzero(np.isfinite(ordered), axis=0)
     columns = np.arange(ordered.shape[1])
-    median = ordered[np.maximum(count - 1, 0) // 2, columns]
-    apart = np.sort(np.abs(ordered - median), axis=0)
-    spread = _MAD * apart[np.maximum(count - 1, 0) // 2, columns]
+    middle = np.maximum(count - 1, 0) // 2
+    median = ordered[middle, columns]
+    spread = _MAD * np.sort(np.abs(ordered - median), axis=0)[middle, columns]
     near = np.abs(ordered - median) <= np.maximum(_NEAR_SIGMAS * spread, _NEAR_SHARE * median)
-    kept = np.maximum(near.sum(axis=0), 1)
-    values = np.where(near, ordered, 0).astype(float)
-    mean = values.sum(axis=0) / kept
-    noise = np.sqrt(np.where(near, (ordered - mean) ** 2, 0).sum(axis=0) / np.maximum(kept - 1, 1))
-    enough = 2 * count >= n
-    return np.where(enough, mean, np.nan).reshape(shape), np.where(enough, noise, np.nan).reshape(shape)
+    mean = np.where(near, ordered, 0).sum(axis=0, dtype=float) / np.maximum(near.sum(axis=0), 1)
+    return np.where(2 * count >= n, mean, np.nan).reshape(shape)

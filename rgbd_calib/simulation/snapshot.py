@@ -63,11 +63,20 @@ class Taken:
     """(frames, h, w), uint16, millimetres, 0 where there is none."""
 
 
-def look(truth: TrueRig, params: SimulationParams, camera: str, T_room_color: FloatArray, caster: Caster) -> Sight:
-    """What a camera of the rig sees from `T_room_color` (4, 4)."""
+def look(
+    truth: TrueRig,
+    params: SimulationParams,
+    camera: str,
+    T_room_color: FloatArray,
+    caster: Caster,
+    rng: np.random.Generator,
+) -> Sight:
+    """What a camera of the rig sees from `T_room_color` (4, 4).
+
+    The rays' noise must not be the same from two places: it would look like a scene that moves with the camera.
+    """
     view = View(truth.intrinsics[camera], T_room_color)
-    index = truth.cameras.index(camera)
-    picture = render_room(view, caster, generator(params.seed, SNAPSHOT, index))
+    picture = render_room(view, caster, rng)
     own = truth.depth_camera.get(camera)
     seen_from = view if own is None else View(own.intrinsics, T_room_color @ own.T_color_depth)
     z_m, cos = (picture.z_m, picture.cos_incidence) if own is None else see_room(seen_from, caster)
@@ -142,8 +151,8 @@ def _make(job: tuple[State, str]) -> tuple[State, str, float]:
     params, truth, change = _setting.params, _setting.truth, _setting.change
     T_room_color, caster = truth.T_room_color[camera], Caster(_setting.scenes[state])
     moved = T_room_color @ change.T_old_new(camera) if state == "new" else T_room_color
-    sight = look(truth, params, camera, moved, caster)
-    rng = generator(params.seed, SNAPSHOT, truth.cameras.index(camera), 1 + STATES.index(state))
+    rng = generator(params.seed, SNAPSHOT, truth.cameras.index(camera), STATES.index(state))
+    sight = look(truth, params, camera, moved, caster, rng)
     taken = take(sight, truth, params, camera, _setting.frames, rng, change if state == "new" else None)
     for k, depth in enumerate(taken.depth_raw):
         # the scene is still: one colour image does

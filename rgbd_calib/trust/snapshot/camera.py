@@ -15,16 +15,17 @@ from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.trust.snapshot import pixels
-from rgbd_calib.trust.snapshot.motion import Motion, Tracks, fit_motion
+from rgbd_calib.trust.snapshot.motion import Motion, Tracks, fit_motion, undrifted
 from rgbd_calib.trust.snapshot.pixels import Matches
 from rgbd_calib.trust.snapshot.surfaces import Surface
 from rgbd_calib.types import CameraSnapshot, RigCamera
 
 _CONSENSUS_PX = 2.0
+_APART_PX = 6.0
+"""A consensus within 2 px may extrapolate three times as far; other motions are farther apart."""
 _LEAST_MATCHES = 12
 _CANDIDATES = 3
 _AGREES_M, _AGREES_SIGMAS = 0.004, 4.0
-_AGREES_PX = 1.5
 
 
 class Before:
@@ -44,9 +45,9 @@ class CameraMotion:
     motion: Motion
     unchanged_share: float
     """Share of the patches seen in both that lie where they lay."""
-    rival_share: float
-    """The same for the best motion that is clearly another one; 0 where there is none."""
-    agreeing: int
+    rival: float
+    """Support of the best motion that is clearly another one, relative to this one's; 0 where there is none."""
+    rows: int
     """Patches and tracks that the estimate rests on."""
 
 
@@ -57,17 +58,20 @@ def camera_motion(name: str, before: Before, snapshot: CameraSnapshot) -> Camera
     matches = pixels.match_features(before.grey, after.grey)
     at = ColorLookup(before.surface, lens)
     found, points = at.points(matches.old_px)
-    starts = [np.eye(4), *_consensus(points, matches.only(found), lens)]
-    scored = [(_support(before.surface, after.surface, T), T) for T in starts]
-    best = max(range(len(scored)), key=lambda k: scored[k][0][0])
+    matches = matches.only(found)
+    starts = [np.eye(4), *_consensus(points, matches, lens)]
+    scored = [_Support.of(T, before.surface, after.surface, points, matches, lens) for T in starts]
+    best = max(scored, key=lambda s: s.both)
     corner_px = pixels.corners(before.grey)
     found, corner_m = at.points(corner_px)
     corner_px = corner_px[found]
-    motion = _refined(before, after, corner_px, corner_m, scored[best][1])
+    motion = _refined(before, after, corner_px, corner_m, best.T_old_new)
     motion = _refined(before, after, corner_px, corner_m, motion.T_old_new)
-    share, count = _support(before.surface, after.surface, motion.T_old_new, motion.drift)
-    rivals = [s[0] for s, T in scored if _apart(T, motion.T_old_new)]
-    return CameraMotion(name, motion, share, max(rivals, default=0.0), count + int(motion.tracks.rows))
+    mine = _Support.of(motion.T_old_new, before.surface, after.surface, points, matches, lens, motion.drift)
+    rivals = [s.against(mine) for s in scored if _apart(s.T_old_new, motion.T_old_new, corner_m, lens)]
+    return CameraMotion(
+        name, motion, mine.patches, max(rivals, default=0.0), int(motion.patches.rows + motion.tracks.rows)
+    )
 
 
 class ColorLookup:
@@ -124,25 +128,54 @@ def _consensus(points_m: FloatArray, matches: Matches, lens: Intrinsics) -> list
             break
         T_new_old = se3.make(so3.exp(np.ravel(rvec)), np.ravel(tvec))
         out.append(se3.inverse(T_new_old))
-        left = np.delete(left, inliers.ravel())
+        left = np.delete(left, np.asarray(inliers.ravel(), int))
     return out
 
 
-def _support(old: Surface, new: Surface, T_old_new: FloatArray, drift: FloatArray | None = None) -> tuple[float, int]:
-    """Share and number of the patches seen in both depth images that agree with a motion."""
-    grid = old.grid()
-    planes = old.patches(grid)
-    planes = planes.only(planes.good)
-    pixels_new, inside = new.pixels_of(se3.transform(se3.inverse(T_old_new), planes.points_m))
-    planes, there = planes.only(inside), new.patches(pixels_new[inside])
-    measured = np.isfinite(new.points_m[pixels_new[inside][:, 1], pixels_new[inside][:, 0]]).all(axis=1)
-    points = there.points_m
-    if drift is not None:
-        points = points * (1 + (drift[0] + drift[1] * points[:, 2]) / np.maximum(points[:, 2], 0.1))[:, None]
-    r = np.einsum("ni,ni->n", planes.normals, se3.transform(T_old_new, points) - planes.points_m)
-    limit = _AGREES_M + _AGREES_SIGMAS * np.hypot(old.k_per_m, new.k_per_m) * planes.points_m[:, 2] ** 2
-    agrees = measured & there.good & (np.abs(r) < limit)
-    return float(agrees.sum() / max(measured.sum(), 1)), int(agrees.sum())
+@dataclass(frozen=True)
+class _Support:
+    """How much of what is seen agrees with a motion."""
+
+    T_old_new: FloatArray
+    patches: float
+    """Share of the patches that both depth images measure."""
+    matches: float
+    """Share of the matched features on them."""
+
+    @property
+    def both(self) -> float:
+        return self.patches + self.matches
+
+    def against(self, other: _Support) -> float:
+        """Relative to another's support: the smaller of the two ratios, since planes can slide and texture repeats."""
+        by_pixels = self.matches / other.matches if other.matches > 0 else 1.0
+        return min(self.patches / max(other.patches, 1e-9), by_pixels)
+
+    @classmethod
+    def of(
+        cls,
+        T: FloatArray,
+        old: Surface,
+        new: Surface,
+        points_m: FloatArray,
+        matches: Matches,
+        lens: Intrinsics,
+        drift: FloatArray | None = None,
+    ) -> _Support:
+        planes = old.patches(old.grid())
+        planes = planes.only(planes.good)
+        at, inside = new.pixels_of(se3.transform(se3.inverse(T), planes.points_m))
+        planes, at = planes.only(inside), at[inside]
+        there = new.patches(at)
+        measured = np.isfinite(new.points_m[at[:, 1], at[:, 0]]).all(axis=1)
+        points = there.points_m if drift is None else undrifted(there.points_m, drift)
+        r = np.einsum("ni,ni->n", planes.normals, se3.transform(T, points) - planes.points_m)
+        limit = _AGREES_M + _AGREES_SIGMAS * np.hypot(old.k_per_m, new.k_per_m) * planes.points_m[:, 2] ** 2
+        agrees = measured & there.good & (np.abs(r) < limit)
+        with np.errstate(all="ignore"):
+            px = lens.project(se3.transform(se3.inverse(T), points_m)) - matches.new_px
+        close = np.linalg.norm(px, axis=1) < _CONSENSUS_PX
+        return cls(T, float(agrees.sum() / max(measured.sum(), 1)), float(close.mean()) if len(close) else 0.0)
 
 
 def _refined(before: Before, after: Before, corner_px: FloatArray, corner_m: FloatArray, start: FloatArray) -> Motion:
@@ -156,7 +189,10 @@ def _refined(before: Before, after: Before, corner_px: FloatArray, corner_m: Flo
     return fit_motion(Tracks(corner_m[kept], tracked), lens, before.surface, after.surface, start)
 
 
-def _apart(T: FloatArray, T_other: FloatArray) -> bool:
-    """Clearly different motions: by more than a degree or 20 mm."""
-    D = se3.inverse(T) @ T_other
-    return bool(so3.angle_rad(D[:3, :3]) > np.radians(1.0) or np.linalg.norm(D[:3, 3]) > 0.02)
+def _apart(T: FloatArray, T_other: FloatArray, points_m: FloatArray, lens: Intrinsics) -> bool:
+    """Do two motions put the points (n, 3) of the old image clearly elsewhere in the new one?"""
+    if len(points_m) == 0:
+        return False
+    with np.errstate(all="ignore"):
+        px = [lens.project(se3.transform(se3.inverse(each), points_m)) for each in (T, T_other)]
+    return float(np.nanmedian(np.linalg.norm(px[0] - px[1], axis=1))) > _APART_PX

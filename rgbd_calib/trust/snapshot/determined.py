@@ -7,6 +7,7 @@ import numpy as np
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.trust.snapshot.motion import Motion
 
 _NAMES = (
     "rotation about x (tilt)",
@@ -19,6 +20,8 @@ _NAMES = (
 _PART = 0.35
 """A component of this share of a direction's length is named."""
 _GRID = (5, 4)
+_CLEAR_SIGMAS, _TRADES = 4.0, 0.9
+"""A drift is named from so many deviations on; a correlation above this is a trade."""
 
 
 def working_points(lens: Intrinsics, distance_m: float) -> FloatArray:
@@ -50,3 +53,18 @@ def free_directions(covariance: FloatArray, distance_m: float, limit_m: float) -
             parts = [k for k in np.argsort(-np.abs(vector)) if abs(vector[k]) > _PART]
             out.append(" with ".join(_NAMES[k] for k in parts))
     return tuple(out)
+
+
+def drift_sentence(motion: Motion) -> str:
+    """The drift of the depth between the snapshots, where it is more than noise; empty where it is not.
+
+    Where it trades places with the motion, both are named together.
+    """
+    sigmas = np.abs(motion.drift[:2]) / np.maximum(motion.drift_sd[:2], 1e-12)
+    if sigmas.max() < _CLEAR_SIGMAS:
+        return ""
+    offset_mm, scale = 1e3 * motion.drift[0], 100 * motion.drift[1]
+    at_mm = 1e3 * (motion.drift[0] + 2 * motion.drift[1])
+    text = f"depth changed by {at_mm:+.1f} mm at 2 m (offset {offset_mm:+.1f} mm, scale {scale:+.2f} %)"
+    together = [_NAMES[k] for k in range(6) if np.abs(motion.correlation[k, :2]).max() > _TRADES]
+    return text + (f"; cannot be told from {' and '.join(together)}" if together else "")

@@ -116,7 +116,7 @@ def fit_motion(tracks: Tracks, lens: Intrinsics, old: Surface, new: Surface, sta
         sigma_m = _expected(mine, old, new)
         for _ in range(_STEPS):
             rows_px = _pixel_rows(tracks, lens, T)
-            rows_m = _patch_rows(mine, there, sigma_m, T, drift, cells, new.shape)
+            rows_m = _patch_rows(mine, there, sigma_m, T, drift, cells)
             of_tracks, w_px = _weigh(rows_px, of_tracks, _GATE_PX, _LEAST_PX)
             of_patches, w_m = _weigh(rows_m, of_patches, None, 0.3)
             H, g = prior.copy(), np.concatenate([np.zeros(6), drift / DRIFT_SD**2])
@@ -168,20 +168,30 @@ def _patch_rows(
     T: FloatArray,
     drift: FloatArray,
     cells: np.ndarray,
-    shape: tuple[int, int],
 ) -> _Rows:
     m = there.points_m
-    z = m[:, 2]
-    ray = m / z[:, None]
-    # x, y by the ray: half the image is about half a focal length
-    far = (z / _DRIFT_AT_M) ** 2
-    shapes = np.stack([np.ones_like(z), z, 2 * ray[:, 0] * far, 2 * ray[:, 1] * far], axis=1)
-    moved = se3.transform(T, m + (shapes @ drift)[:, None] * ray)
+    ray, shapes = _drift_shapes(m)
+    moved = se3.transform(T, undrifted(m, drift))
     r = np.einsum("ni,ni->n", planes.normals, moved - planes.points_m)
     J = np.empty((len(m), 1, 10))
     J[:, 0, :6] = np.einsum("ni,nij->nj", planes.normals, se3.by_motion(moved))
     J[:, 0, 6:] = np.einsum("ni,ni->n", planes.normals, ray @ T[:3, :3].T)[:, None] * shapes
     return _Rows(J / sigma_m[:, None, None], (r / sigma_m)[:, None], cells)
+
+
+def undrifted(points_m: FloatArray, drift: FloatArray) -> FloatArray:
+    """New points (n, 3), metres, with the drift (4,) of their depth against the old taken off."""
+    ray, shapes = _drift_shapes(points_m)
+    return points_m + (shapes @ drift)[:, None] * ray
+
+
+def _drift_shapes(points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rays (n, 3) with z = 1, and derivatives (n, 4) of the depth's error by the drift."""
+    z = np.maximum(points_m[:, 2], 0.05)
+    ray = points_m / z[:, None]
+    far = (z / _DRIFT_AT_M) ** 2
+    # x, y by the ray: half the image is about half a focal length
+    return ray, np.stack([np.ones_like(z), z, 2 * ray[:, 0] * far, 2 * ray[:, 1] * far], axis=1)
 
 
 def _cells(pixels: FloatArray, shape: tuple[int, int]) -> np.ndarray:

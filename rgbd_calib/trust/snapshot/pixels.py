@@ -30,6 +30,8 @@ _LOCAL_PX = 12.0
 """Deviation of the Gaussian over which an image is normalised."""
 _FLOOR_GREY = 4.0
 """Contrast below which noise is not blown up, steps of 255."""
+_ALIKE = 0.85
+"""Least correlation of a track's two windows: texture that is twice as strong as the noise."""
 _BACK_PX = 0.3
 """A track that does not come back to within this is lost."""
 
@@ -61,7 +63,7 @@ def grey(color: np.ndarray) -> np.ndarray:
 
 def match_features(old: np.ndarray, new: np.ndarray) -> Matches:
     """SIFT features of two images (h, w), uint8, that are each other's best match."""
-    sift = cv2.SIFT_create(nfeatures=_MOST_FEATURES, contrastThreshold=_CONTRAST)
+    sift = cv2.SIFT.create(nfeatures=_MOST_FEATURES, contrastThreshold=_CONTRAST)
     (keys_old, about_old), (keys_new, about_new) = (sift.detectAndCompute(image, None) for image in (old, new))
     if about_old is None or about_new is None or len(keys_old) < 2 or len(keys_new) < 2:
         return Matches(np.zeros((0, 2)), np.zeros((0, 2)))
@@ -95,16 +97,39 @@ def track(old: np.ndarray, new: np.ndarray, old_px: FloatArray, expected_px: Flo
     if len(old_px) == 0:
         return np.zeros(0, int), Matches(np.zeros((0, 2)), np.zeros((0, 2)))
     start, guess = (np.ascontiguousarray(px[:, None], np.float32) for px in (old_px, expected_px))
-    settings = {
-        "winSize": (_WINDOW_PX, _WINDOW_PX),
-        "maxLevel": 1,
-        "criteria": (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.005),
-        "flags": cv2.OPTFLOW_USE_INITIAL_FLOW,
-    }
-    there, found, _ = cv2.calcOpticalFlowPyrLK(old, new, start, guess.copy(), **settings)
-    back, again, _ = cv2.calcOpticalFlowPyrLK(new, old, there, start.copy(), **settings)
+    there = _flow(old, new, start, guess)
+    back = _flow(new, old, there, start)
     away = np.linalg.norm((back - start)[:, 0], axis=1)
     h, w = new.shape
     inside = np.all((there[:, 0] > 2) & (there[:, 0] < np.array([w, h]) - 3), axis=1)
-    kept = np.flatnonzero((found[:, 0] == 1) & (again[:, 0] == 1) & (away < _BACK_PX) & inside)
+    alike = similarity(old, new, old_px, np.asarray(there[:, 0], float))
+    kept = np.flatnonzero((away < _BACK_PX) & inside & (alike > _ALIKE))
     return kept, Matches(np.asarray(old_px[kept], float), np.asarray(there[kept, 0], float))
+
+
+def _flow(a: np.ndarray, b: np.ndarray, a_px: np.ndarray, guess_px: np.ndarray) -> np.ndarray:
+    """Pixels (n, 1, 2), float32, of image a in image b; those that are lost are far away."""
+    found_px, found, _ = cv2.calcOpticalFlowPyrLK(
+        a, b, a_px, guess_px.copy(),
+        winSize=(_WINDOW_PX, _WINDOW_PX),
+        maxLevel=1,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.005),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )  # fmt: skip
+    return np.where(found[..., None] == 1, found_px, np.float32(-1e4))
+
+
+def similarity(old: np.ndarray, new: np.ndarray, old_px: FloatArray, new_px: FloatArray) -> FloatArray:
+    """Normalised cross-correlation (n,) of the windows about pixels (n, 2) of two images.
+
+    In noise a track stays where it was put, which looks like a camera at rest; noise does not repeat itself.
+    """
+    reach = np.arange(_WINDOW_PX) - _WINDOW_PX // 2
+    windows = []
+    for image, at in ((old, old_px), (new, new_px)):
+        x = np.asarray(at[:, 0, None] + np.tile(reach, _WINDOW_PX), np.float32)
+        y = np.asarray(at[:, 1, None] + np.repeat(reach, _WINDOW_PX), np.float32)
+        values = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(float)
+        values -= values.mean(axis=1, keepdims=True)
+        windows.append(values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-9))
+    return np.asarray(np.einsum("ni,ni->n", *windows))

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rgbd_calib.geometry import se3, so3
+from rgbd_calib.geometry.linear import symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.trust.displacement import CameraPoses, PairError, VerdictParams, judge
 from rgbd_calib.trust.snapshot.camera import CameraMotion
@@ -34,7 +35,7 @@ class SnapshotParams:
     least_unchanged: float = 0.15
     """Share of the scene that must be unchanged: below, what is the scene and what is a thing in it?"""
     clear_ratio: float = 0.7
-    """Another motion that this much of the unchanged share agrees with is a rival."""
+    """Another motion with this much of the support, in depth and in pixels, is a rival."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,8 @@ def _why_undetermined(rig: Rig, motion: CameraMotion, params: SnapshotParams) ->
     free = free_directions(estimate.covariance, params.distance_m, limit_m)
     if sd_m > limit_m:
         named = "; ".join(free) if free else "all directions together"
+        if np.abs(estimate.correlation[:, :2]).max() > 0.9:
+            named += " (some trade places with a drift of the depth)"
         return (
             f"the scene does not determine the motion: {1e3 * sd_m:.1f} mm at {params.distance_m:g} m, {1e3 * limit_m:.1f} mm "
             f"allowed; free: {named}"
@@ -118,8 +121,11 @@ def _why_undetermined(rig: Rig, motion: CameraMotion, params: SnapshotParams) ->
             f"{100 * motion.unchanged_share:.0f} % of the scene is unchanged, {100 * params.least_unchanged:.0f} % needed to "
             "tell the scene from what moved in it"
         )
-    if motion.rival_share > params.clear_ratio * motion.unchanged_share:
-        return f"two motions fit: one {100 * motion.unchanged_share:.0f} % of the scene, another {100 * motion.rival_share:.0f} %"
+    if motion.rival > params.clear_ratio:
+        return (
+            f"two motions fit the scene: another one has {100 * motion.rival:.0f} % of the support, "
+            f"{100 * params.clear_ratio:.0f} % allowed"
+        )
     return ""
 
 
@@ -140,17 +146,17 @@ def _as_poses(rig: Rig, motions: Mapping[str, CameraMotion], params: SnapshotPar
 
 def _common(rig: Rig, motions: Mapping[str, CameraMotion], still: Sequence[str]) -> tuple[FloatArray, FloatArray]:
     """Motion of the whole rig in the world, (4, 4), by the cameras that stayed in it, and its covariance (6, 6)."""
-    D = np.eye(4)
-    H = np.zeros((6, 6))
+    D: FloatArray = np.eye(4)
+    H: FloatArray = np.zeros((6, 6))
     for _ in range(3):
         H, g = np.zeros((6, 6)), np.zeros(6)
         for name in still:
             T = rig.cameras[name].T_world_color
             own, Ad = T @ motions[name].motion.T_old_new @ se3.inverse(T), se3.adjoint(T)
-            information = np.linalg.inv(Ad @ motions[name].motion.covariance @ Ad.T)
+            information = symmetric_inverse(Ad @ motions[name].motion.covariance @ Ad.T)
             H, g = H + information, g + information @ se3.difference(own, D)
-        D = se3.retract(D, np.linalg.solve(H, g))
-    return D, np.linalg.inv(H)
+        D = se3.retract(D, symmetric_inverse(H) @ g)
+    return D, symmetric_inverse(H)
 
 
 def _of_camera(

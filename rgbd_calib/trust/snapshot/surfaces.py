@@ -7,7 +7,8 @@ the window is nearly full, its points are within the noise of a plane, and the p
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -51,9 +52,7 @@ class Surface:
         self._T_depth_color = se3.inverse(self._camera.T_color_depth)
         self.points_m = camera.depth_image.points(snapshot.depth_m)
         """(h, w, 3)."""
-        self.k_per_m = noise_of(snapshot)
-        """A single reading of the snapshot's mean has the deviation k z^2, z in metres."""
-        seen = np.isfinite(self.points_m).all(axis=-1)
+        seen = np.asarray(np.isfinite(self.points_m).all(axis=-1))
         p = np.where(seen[..., None], self.points_m, 0.0)
         # about a point in the middle of the scene: the sums of squares keep their digits
         self._about_m = p[seen].mean(axis=0) if seen.any() else np.zeros(3)
@@ -68,6 +67,14 @@ class Surface:
             axis=-1,
         )
 
+    @cached_property
+    def k_per_m(self) -> float:
+        """The deviation of a pixel is k z^2, z in metres: by the patches, most of which are planes."""
+        planes, rms = self._fit(self.grid())
+        z = planes.points_m[:, 2]
+        k = rms[planes.good] / z[planes.good] ** 2
+        return max(float(np.median(k)), _LEAST_K_PER_M) if len(k) else _USUAL_K_PER_M
+
     @property
     def shape(self) -> tuple[int, int]:
         return self.points_m.shape[0], self.points_m.shape[1]
@@ -80,6 +87,12 @@ class Surface:
 
     def patches(self, pixels: np.ndarray) -> Patches:
         """The planes at pixels (n, 2), int, inside the image."""
+        planes, rms = self._fit(pixels)
+        noise = _FLAT_SIGMAS * (self.k_per_m * planes.points_m[:, 2] ** 2 + _ROUNDING_M)
+        return replace(planes, good=planes.good & (rms < noise))
+
+    def _fit(self, pixels: np.ndarray) -> tuple[Patches, FloatArray]:
+        """The planes, flat or not, and the RMS (n,) of their points about them, metres."""
         sums = self._sums[pixels[:, 1], pixels[:, 0]]
         count = np.maximum(sums[:, 0], 1.0)
         mean = sums[:, 1:4] / count[:, None]
@@ -92,9 +105,8 @@ class Surface:
         cos = -np.einsum("ij,ij->i", normals, points) / np.maximum(length, 1e-9)
         normals = normals * np.where(cos < 0, -1.0, 1.0)[:, None]
         rms = np.sqrt(np.maximum(values[:, 0], 0))
-        noise = _FLAT_SIGMAS * (self.k_per_m * points[:, 2] ** 2 + _ROUNDING_M)
-        good = (sums[:, 0] >= _FULL * WINDOW_PX**2) & (np.abs(cos) > _GRAZING_COS) & (rms < noise)
-        return Patches(points, normals, good)
+        good = (sums[:, 0] >= _FULL * WINDOW_PX**2) & (np.abs(cos) > _GRAZING_COS)
+        return Patches(points, normals, good), rms
 
     def pixels_of(self, points_m: FloatArray) -> tuple[np.ndarray, np.ndarray]:
         """Pixels (n, 2), int, of the depth image where points (n, 3) in the colour camera's frame are seen, and which
@@ -110,15 +122,5 @@ class Surface:
 
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _USUAL_K_PER_M = 1.6e-3
-"""Of structured light, one image (Khoshelham, Oude Elberink 2012)."""
+"""Of structured light, one image (Khoshelham, Oude Elberink 2012): where there are no patches to tell by."""
 _LEAST_K_PER_M = 1e-5
-
-
-def noise_of(snapshot: CameraSnapshot) -> float:
-    """k, 1/m: the snapshot's mean depth has the deviation k z^2 at a pixel."""
-    if snapshot.noise_m is None:
-        return _USUAL_K_PER_M / float(np.sqrt(snapshot.frames))
-    with np.errstate(all="ignore"):
-        k = snapshot.noise_m / snapshot.depth_m**2
-    k = k[np.isfinite(k)]
-    return max(float(np.median(k)) if len(k) else _USUAL_K_PER_M, _LEAST_K_PER_M) / float(np.sqrt(snapshot.frames))
