@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from rgbd_calib.io.recording import Recording
+from rgbd_calib.errors import CalibrationError
+from rgbd_calib.io.recording import Recording, save_color, save_depth, write_dataset
 from rgbd_calib.types import CameraSnapshot
 
 MOST_FRAMES = 30
@@ -14,6 +16,9 @@ MOST_FRAMES = 30
 _NEAR_SIGMAS, _NEAR_SHARE = 4.0, 0.02
 """A reading belongs to the mean within both: 2 % is more than one step of a quantised disparity (47 mm at 4 m)."""
 _MAD = 1.4826
+FRAME = "000000"
+KEPT_UNIT_M = 0.00025
+"""Unit of kept depth: up to 16 m, its rounding below the noise of any mean."""
 
 
 def read_snapshot(recording: Recording, camera: str) -> CameraSnapshot | None:
@@ -35,6 +40,38 @@ def read_snapshot(recording: Recording, camera: str) -> CameraSnapshot | None:
 def kept_beside(rig_path: Path) -> Path:
     """Folder of the snapshot that is kept with a rig file: rig.snapshot beside rig.yaml."""
     return rig_path.with_name(f"{rig_path.stem}.snapshot")
+
+
+def keep_snapshot(folder: Path, recording: Recording) -> int:
+    """Write what a comparison needs of a snapshot, as a recording of one frame, into an existing empty folder.
+
+    Returns
+    -------
+    Its size in bytes.
+
+    Raises
+    ------
+    CalibrationError
+        No camera has colour and depth.
+    """
+    infos = {}
+    for name, info in recording.cameras.items():
+        snapshot = read_snapshot(recording, name)
+        if snapshot is None:
+            continue
+        infos[name] = replace(
+            info, depth_scale=KEPT_UNIT_M, float_unit_m=1.0, depth_stated=True, intrinsics=None, invalid=()
+        )
+        raw = np.nan_to_num(snapshot.depth_m / KEPT_UNIT_M)
+        save_depth(folder, name, FRAME, np.where(raw < 65535, np.rint(raw), 0).astype(np.uint16))
+        save_color(folder, name, FRAME, snapshot.color)
+    if not infos:
+        raise CalibrationError(
+            f"{recording.path}: no camera has colour and depth images; a snapshot needs both. Record the empty scene with "
+            "`rgbd-calib capture OUT --snapshot`"
+        )
+    write_dataset(folder, infos, None)
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
 def averaged(stack_m: np.ndarray) -> np.ndarray:

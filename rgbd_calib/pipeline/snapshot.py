@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.blas import one_blas_thread
+from rgbd_calib.io.files import plain
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.snapshot import read_snapshot
 from rgbd_calib.pipeline.rig_inputs import common_cameras
@@ -23,7 +25,7 @@ from rgbd_calib.trust.snapshot import (
     drift_sentence,
     judge_motions,
 )
-from rgbd_calib.types import Rig
+from rgbd_calib.types import Rig, RigCamera
 
 _AT_ONCE = 4
 """Cameras in memory together."""
@@ -150,14 +152,36 @@ def sentence(verdict: RigVerdict) -> str:
     )
 
 
-def moved_rig(rig: Rig, verdict: RigVerdict) -> dict[str, Any]:
-    """T_world_color (4, 4) and its covariance (6, 6), by camera that moved, for the rig's file.
+def corrected_by(
+    rig: Rig, verdict: RigVerdict, new: Recording, old: Recording
+) -> dict[str, tuple[RigCamera, dict[str, Any]]]:
+    """New entry and report, for the rig file, of each camera that moved.
 
-    The old pose's covariance stays, since the error of the old pose is still there, and that of the motion is added.
+    The covariance of the old pose stays, since its error is still there, and that of the motion is added.
+
+    Raises
+    ------
+    CalibrationError
+        The scene does not determine the motion of a camera, a camera lacks images, or several sets of cameras explain the same.
     """
+    if verdict.undetermined or verdict.missing or verdict.rivals:
+        raise CalibrationError(f"{new.path}: the snapshots do not determine the rig: {sentence(verdict)}")
     out = {}
     for name in verdict.moved:
         own, found = rig.cameras[name], verdict.cameras[name]
         Ad = se3.adjoint(own.T_world_color)
-        out[name] = (own.T_world_color @ found.T_old_new, own.covariance + Ad @ found.covariance @ Ad.T)
+        covariance = own.covariance + Ad @ found.covariance @ Ad.T
+        entry = replace(own, T_world_color=own.T_world_color @ found.T_old_new, covariance=covariance)
+        report = {
+            "camera": name,
+            "by": "snapshot",
+            "recording": str(new.path),
+            "recording_sha256": new.digest(),
+            "snapshot": str(old.path),
+            "snapshot_sha256": old.digest(),
+            "moved_mm": 1e3 * found.shift_m,
+            "turned_deg": float(np.degrees(found.turn_rad)),
+            "unchanged_share": found.motion.unchanged_share,
+        }
+        out[name] = (entry, plain(report))
     return out

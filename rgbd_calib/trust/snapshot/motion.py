@@ -1,16 +1,18 @@
 """Motion of a camera from tracked pixels and patches of depth together.
 
-Unknowns: a left perturbation xi = (phi, rho) of T_old_new, and the drift e of the new depth against the old,
+Unknowns: a left perturbation xi = (phi, rho) of T_old_new, a shift s of all tracks in common, and the drift e of the new depth
+against the old,
 
     e(x, y, z) = a + b z + (c x + d y) (z / z0)^2,         x, y from -1 to 1 over the image
 
 Rows, with Exp(xi) T_old_new p_new for the place of a new point in the old camera's frame:
 
-    pixel    pi(T_new_old p_old) - q_new = 0                          2 px rows a track, p_old from the old pixel and depth
+    pixel    pi(T_new_old p_old) + s - q_new = 0                      2 px rows a track, p_old from the old pixel and depth
     patch    n_old . (T_old_new (m_new + e ray) - m_old) = 0          1 row a patch, metres
 
 The old depth's own error is in both depth images alike and cancels in the patches, but for what a patch loses by lying at
-another pixel; a, b, c, d with their priors stand for that and for warm-up. A track needs the depth only for its parallax.
+another pixel; a, b, c, d with their priors stand for that and for warm-up. A track needs the depth only for its parallax. Tracks
+that move by part of a pixel are off by some hundredths, all alike: s, with a prior that is zero for an image that stays.
 
 Weights are Tukey's. Each kind of row has a variance component: sigma from the residuals, times an inflation for what
 neighbouring rows share. With n_c rows of mean r_c in cell c of the image, sum n_c r_c^2 / (cells sigma^2) is 1 where errors are
@@ -33,12 +35,16 @@ from rgbd_calib.trust.snapshot.surfaces import Patches, Surface
 DRIFT_SD = np.array([0.005, 0.003, 0.001, 0.001])
 """Priors of a (m), b, c and d (m): a time-of-flight camera warms up by 5 mm (Lachat et al. 2015), structured light by some
 per mille; the tilts are those of a depth field seen at other pixels."""
+_SHARED_PX = 0.04
+"""Deviation of the tracks' shift in common: interpolation's bias, a few hundredths of a pixel."""
+_MOVES_PX = 0.5
+"""An image that moves by less has less of it."""
 ANYWHERE = np.array([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])
 """Deviations (rad, m) of directions that nothing determines: in the covariance only, they pull nowhere."""
 _DRIFT_AT_M = 3.0
 _TUKEY = 4.7
 _MAD = 1.4826
-_CELLS = (8, 6)
+_CELLS = (5, 4)
 _LEAST_PX = 0.03
 _ROUNDS, _STEPS = 8, 3
 _GATE_M = 0.05
@@ -94,7 +100,7 @@ class Motion:
 @dataclass(frozen=True)
 class _Rows:
     J: FloatArray
-    """(n, r, 10)."""
+    """(n, r, 12), by motion, drift and shift."""
     r: FloatArray
     """(n, r)."""
     cell: np.ndarray
@@ -106,30 +112,33 @@ def fit_motion(tracks: Tracks, lens: Intrinsics, old: Surface, new: Surface, sta
     pixels = old.grid()
     planes = old.patches(pixels)
     pixels, planes = pixels[planes.good], planes.only(planes.good)
-    T, drift = start, np.zeros(4)
+    T, nuisance = start, np.zeros(6)
+    flow_px = np.linalg.norm(tracks.pixels.new_px - tracks.pixels.old_px, axis=1)
+    moves = min(float(np.median(flow_px)) / _MOVES_PX, 1.0) if len(flow_px) else 1.0
+    nuisance_sd = np.concatenate([DRIFT_SD, np.full(2, max(_SHARED_PX * moves, 1e-3))])
     of_tracks, of_patches = RowNoise(0.0, 1.0, 1.0), RowNoise(0.0, 1.0, 1.0)
-    prior = np.diag(np.concatenate([ANYWHERE**-2.0, DRIFT_SD**-2.0]))
+    prior = np.diag(np.concatenate([ANYWHERE, nuisance_sd]) ** -2.0)
     H = prior
     for _ in range(_ROUNDS):
         there, which = seen_again(planes, new, T)
         mine, cells = planes.only(which), _cells(pixels[which], old.shape)
         sigma_m = _expected(mine, old, new)
         for _ in range(_STEPS):
-            rows_px = _pixel_rows(tracks, lens, T)
-            rows_m = _patch_rows(mine, there, sigma_m, T, drift, cells)
+            rows_px = _pixel_rows(tracks, lens, T, nuisance[4:])
+            rows_m = _patch_rows(mine, there, sigma_m, T, nuisance[:4], cells)
             of_tracks, w_px = _weigh(rows_px, of_tracks, _GATE_PX, _LEAST_PX)
             of_patches, w_m = _weigh(rows_m, of_patches, None, 0.3)
-            H, g = prior.copy(), np.concatenate([np.zeros(6), drift / DRIFT_SD**2])
+            H, g = prior.copy(), np.concatenate([np.zeros(6), nuisance / nuisance_sd**2])
             for rows, w, noise in ((rows_px, w_px, of_tracks), (rows_m, w_m, of_patches)):
                 wJ = rows.J * (w / noise.variance)[:, None, None]
                 H += np.einsum("nri,nrj->ij", wJ, rows.J)
                 g += np.einsum("nri,nr->i", wJ, rows.r)
             step = -symmetric_inverse(H) @ g
-            T, drift = se3.retract(T, step[:6]), drift + step[6:]
+            T, nuisance = se3.retract(T, step[:6]), nuisance + step[6:]
     covariance = symmetric_inverse(H)
     sd = np.sqrt(np.diag(covariance))
-    correlation = covariance[:6, 6:] / np.maximum(np.outer(sd[:6], sd[6:]), 1e-30)
-    return Motion(T, covariance[:6, :6], drift, sd[6:], of_tracks, of_patches, correlation)
+    correlation = covariance[:6, 6:10] / np.maximum(np.outer(sd[:6], sd[6:10]), 1e-30)
+    return Motion(T, covariance[:6, :6], nuisance[:4], sd[6:10], of_tracks, of_patches, correlation)
 
 
 def seen_again(planes: Patches, new: Surface, T_old_new: FloatArray) -> tuple[Patches, np.ndarray]:
@@ -150,14 +159,15 @@ def _expected(planes: Patches, old: Surface, new: Surface) -> FloatArray:
     return np.asarray(np.hypot(np.hypot(old.k_per_m, new.k_per_m) * z**2 * cos, 0.2e-3))
 
 
-def _pixel_rows(tracks: Tracks, lens: Intrinsics, T: FloatArray) -> _Rows:
+def _pixel_rows(tracks: Tracks, lens: Intrinsics, T: FloatArray, shared_px: FloatArray) -> _Rows:
     T_new_old = se3.inverse(T)
     p = se3.transform(T_new_old, tracks.points_m)
     ahead = p[:, 2] > 0.05
     at, by_point, _ = camera.project_jacobian(lens.vector, np.where(ahead[:, None], p, [0.0, 0.0, 1.0]), lens.model)
-    J = np.zeros((len(p), 2, 10))
+    J = np.zeros((len(p), 2, 12))
+    J[..., 10:] = np.eye(2)
     J[..., :6] = -by_point @ T_new_old[:3, :3] @ se3.by_motion(tracks.points_m)
-    r = np.where(ahead[:, None], at - tracks.pixels.new_px, 1e3)
+    r = np.where(ahead[:, None], at + shared_px - tracks.pixels.new_px, 1e3)
     return _Rows(J, r, _cells(tracks.pixels.new_px, (lens.height, lens.width)))
 
 
@@ -173,9 +183,9 @@ def _patch_rows(
     ray, shapes = _drift_shapes(m)
     moved = se3.transform(T, undrifted(m, drift))
     r = np.einsum("ni,ni->n", planes.normals, moved - planes.points_m)
-    J = np.empty((len(m), 1, 10))
+    J = np.zeros((len(m), 1, 12))
     J[:, 0, :6] = np.einsum("ni,nij->nj", planes.normals, se3.by_motion(moved))
-    J[:, 0, 6:] = np.einsum("ni,ni->n", planes.normals, ray @ T[:3, :3].T)[:, None] * shapes
+    J[:, 0, 6:10] = np.einsum("ni,ni->n", planes.normals, ray @ T[:3, :3].T)[:, None] * shapes
     return _Rows(J / sigma_m[:, None, None], (r / sigma_m)[:, None], cells)
 
 

@@ -28,6 +28,8 @@ _CORNER_QUALITY = 0.005
 _WINDOW_PX = 13
 _LOCAL_PX = 12.0
 """Deviation of the Gaussian over which an image is normalised."""
+_SMOOTH_PX = 0.8
+"""Smoothing before tracking: interpolation between sharp pixels pulls tracks towards whole pixels."""
 _FLOOR_GREY = 4.0
 """Contrast below which noise is not blown up, steps of 255."""
 _ALIKE = 0.85
@@ -58,7 +60,8 @@ def grey(color: np.ndarray) -> np.ndarray:
     mean = cv2.GaussianBlur(image, (0, 0), _LOCAL_PX)
     square = cv2.GaussianBlur(image**2, (0, 0), _LOCAL_PX)
     contrast = np.sqrt(np.maximum(square - mean**2, 0) + _FLOOR_GREY**2)
-    return np.clip(128 + 40 * (image - mean) / contrast, 0, 255).astype(np.uint8)
+    normal = cv2.GaussianBlur((image - mean) / contrast, (0, 0), _SMOOTH_PX)
+    return np.clip(128 + 45 * normal, 0, 255).astype(np.uint8)
 
 
 def match_features(old: np.ndarray, new: np.ndarray) -> Matches:
