@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError
+from rgbd_calib.io.layout import Files, Kind
 from rgbd_calib.io.recording import Recording, save_color, save_depth, write_dataset
 from rgbd_calib.types import CameraSnapshot
 
@@ -35,6 +37,20 @@ def read_snapshot(recording: Recording, camera: str) -> CameraSnapshot | None:
         frames = [frames[i] for i in np.linspace(0, len(frames) - 1, MOST_FRAMES).round().astype(int)]
     stack = np.stack([recording.depth_own_m(camera, frame).astype(np.float32) for frame in frames])
     return CameraSnapshot(camera, recording.color(camera, next(iter(color))), averaged(stack), len(frames))
+
+
+def newest_frames(recording: Recording, frames: int) -> Recording:
+    """The recording's newest image in colour and newest `frames` in depth of each camera, by name."""
+    listed: dict[Kind, Files] = {
+        "color": {name: _last(files, 1) for name, files in recording.color_files.items()},
+        "depth": {name: _last(files, frames) for name, files in recording.depth_files.items()},
+        "ir": {name: {} for name in recording.cameras},
+    }
+    return replace(recording, listed=listed)
+
+
+def _last(files: Mapping[str, Path], count: int) -> dict[str, Path]:
+    return {frame: files[frame] for frame in sorted(files)[-count:]}
 
 
 def kept_beside(rig_path: Path) -> Path:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -25,7 +25,7 @@ from rgbd_calib.trust.snapshot import (
     drift_sentence,
     judge_motions,
 )
-from rgbd_calib.types import Rig, RigCamera
+from rgbd_calib.types import CameraSnapshot, Rig, RigCamera
 
 _AT_ONCE = 4
 """Cameras in memory together."""
@@ -56,23 +56,30 @@ def prepare(rig: Rig, old: Recording) -> dict[str, Before]:
         return {name: before for name, before in found if before is not None}
 
 
-@one_blas_thread
 def compare(rig: Rig, new: Recording, before: Mapping[str, Before]) -> dict[str, CameraMotion]:
     """The motion of each camera that both snapshots have."""
-
-    def one(name: str) -> CameraMotion | None:
-        snapshot = read_snapshot(new, name)
-        return None if snapshot is None else camera_motion(name, before[name], snapshot)
-
     both = [name for name in common_cameras(new, rig) if name in before]
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
-        found = {m.camera: m for m in pool.map(one, both) if m is not None}
+    found = compare_with(before, both, lambda name: read_snapshot(new, name))
     if not found:
         raise CalibrationError(
             f"{new.path}: no camera has colour and depth images in both snapshots; at least one is needed. "
             f"The old one has {', '.join(before) or 'none'}. Record both with depth: rgbd-calib capture OUT --snapshot"
         )
     return found
+
+
+@one_blas_thread
+def compare_with(
+    before: Mapping[str, Before], cameras: Sequence[str], read: Callable[[str], CameraSnapshot | None]
+) -> dict[str, CameraMotion]:
+    """The motion of each of these cameras that `read` gives a new snapshot of."""
+
+    def one(name: str) -> CameraMotion | None:
+        snapshot = read(name)
+        return None if snapshot is None else camera_motion(name, before[name], snapshot)
+
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        return {m.camera: m for m in pool.map(one, cameras) if m is not None}
 
 
 def summary(verdict: RigVerdict) -> dict[str, Any]:
