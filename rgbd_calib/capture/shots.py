@@ -26,10 +26,10 @@ class DepthParams:
 
     frames: int = 1
     """The median of so many; 1 stores what the device sent."""
-    mean: bool = False
-    """Their mean instead, for snapshots: a median of quantised depth stays quantised."""
     alternate_emitters: bool = False
     """Only one infrared projector shines at a time while its camera's depth is taken."""
+    mean: bool = False
+    """Their mean instead, for snapshots: a median of quantised depth stays quantised."""
 
 
 class Photographer:

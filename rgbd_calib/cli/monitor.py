@@ -154,10 +154,9 @@ def _told(each: Any) -> str:
 def _run(program: list[str], line: str) -> None:
     """Run the command of --on-drift to its end; what it prints goes to standard error."""
     import subprocess
-    import sys
 
     try:
-        ended = subprocess.run(program, input=line.encode(), stdout=sys.stderr, timeout=600, check=False)
+        ended = subprocess.run(program, input=line.encode(), stdout=2, timeout=600, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
         say(f"--on-drift: {error}")
         return
