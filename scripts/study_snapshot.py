@@ -250,10 +250,10 @@ def main() -> None:
         for found, took in pool.imap(partial(study, setup=setup), seeds):
             rows += found
             seconds += took
+            if args.out:  # after each scene: a study takes long
+                args.out.write_text(json.dumps(rows, indent=1))
     print(table(rows))
     print(f"\nmedian CPU time of a comparison of 4 cameras, averaging of depth included: {np.median(seconds):.1f} s")
-    if args.out:
-        args.out.write_text(json.dumps(rows, indent=1))
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from rgbd_calib.trust.snapshot.motion import Motion, RowNoise, undrifted
 from rgbd_calib.trust.snapshot.pixels import grey, match_features, similarity, track
 from rgbd_calib.trust.snapshot.rig import SCENE, SnapshotParams, judge_motions
 from rgbd_calib.trust.snapshot.surfaces import Surface
-from rgbd_calib.types import CameraSnapshot, Rig, RigCamera
+from rgbd_calib.types import Rig, RigCamera
 
 LENS = Intrinsics(160, 120, 140.0, 140.0, 79.5, 59.5, (0.0, 0.0, 0.0, 0.0, 0.0))
 TWIST = np.concatenate([np.radians([0.2, 0.5, -0.1]), [0.008, -0.004, 0.006]])
@@ -64,7 +64,7 @@ def test_a_mean_of_readings_ignores_a_few_wild_ones_and_keeps_holes():
 @given(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(0.8, 4.0))
 def test_patches_of_a_plane_are_that_plane(x, y, distance_m):
     normal = np.array([x, y, 1.0]) / np.sqrt(x * x + y * y + 1)
-    surface = Surface(camera_of(), CameraSnapshot("C1", np.zeros(0), plane_depth(normal, distance_m), 1))
+    surface = Surface(camera_of(), plane_depth(normal, distance_m))
     planes = surface.patches(surface.grid())
     inside = planes.good
     assert inside.mean() > 0.7  # all but the border's
@@ -188,11 +188,18 @@ def test_what_a_scene_does_not_determine_is_refused_with_the_directions():
     assert not verdict.holds and "translation along x" in verdict.undetermined["C2"] and "C1" in verdict.cameras
 
 
-def test_a_blank_wall_is_refused(tmp_path):
+@pytest.fixture(scope="module")
+def blank(tmp_path_factory):
+    """The same two cameras before a painted wall; C1 moved."""
+    out = tmp_path_factory.mktemp("blank")
     change = SceneChange({"C1": TWIST}, surroundings="wall")
-    simulate_snapshots(tmp_path, SimulationParams(seed=4, **SMALL), change, 4, 1, progress)
-    rig = read_rig(tmp_path / "truth.yaml")
-    old, new = (read_snapshot(open_recording(tmp_path / state), "C1") for state in ("old", "new"))
+    simulate_snapshots(out, SimulationParams(seed=3, **SMALL), change, 4, 1, progress)
+    return out
+
+
+def test_a_blank_wall_is_refused(blank):
+    rig = read_rig(blank / "truth.yaml")
+    old, new = (read_snapshot(open_recording(blank / state), "C1") for state in ("old", "new"))
     found = camera_motion("C1", Before(rig.cameras["C1"], old), new)
     verdict = judge_motions(Rig("C1", {"C1": rig.cameras["C1"]}), {"C1": found}, SnapshotParams())
     assert not verdict.holds and "translation" in verdict.undetermined["C1"]
@@ -229,10 +236,8 @@ def test_an_update_corrects_the_camera_that_moved_and_grows_its_covariance(run, 
     assert again.status == 0
 
 
-def test_an_update_that_the_scene_does_not_determine_is_refused(run, bumped, tmp_path):
+def test_an_update_that_the_scene_does_not_determine_is_refused(run, bumped, blank, tmp_path):
     rig, old = bumped / "truth.yaml", bumped / "old"
-    blank = tmp_path / "blank"
-    simulate_snapshots(blank, SimulationParams(seed=3, **SMALL), SceneChange(surroundings="wall"), 1, 1, progress)
     result = run("calibrate", blank / "new", "--update", rig, "--snapshot", blank / "old", "-o", tmp_path / "x.yaml")
     assert result.status == 1 and "free: " in result.stderr and not (tmp_path / "x.yaml").exists()
     assert run("calibrate", old, "--update", rig, "-o", tmp_path / "x.yaml").status == 2

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError
+from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.layout import Files, Kind
 from rgbd_calib.io.recording import Recording, save_color, save_depth, write_dataset
 from rgbd_calib.types import CameraSnapshot
@@ -24,19 +25,27 @@ KEPT_UNIT_M = 0.00025
 
 
 def read_snapshot(recording: Recording, camera: str) -> CameraSnapshot | None:
-    """One camera's part of a snapshot; None where the camera has no depth, or no colour.
-
-    The depth is the mean of the readings near their median: sensors that quantise depth send one of two steps, and the mean
-    of many readings lies between.
-    """
-    depth, color = recording.depth_files[camera], recording.color_files[camera]
-    if not depth or not color:
+    """One camera's part of a snapshot; None where the camera has no depth, or no colour."""
+    color, depth_m = recording.color_files[camera], depth_of(recording, camera)
+    if depth_m is None or not color:
         return None
-    frames = [*depth]
-    if len(frames) > MOST_FRAMES:
-        frames = [frames[i] for i in np.linspace(0, len(frames) - 1, MOST_FRAMES).round().astype(int)]
-    stack = np.stack([recording.depth_own_m(camera, frame).astype(np.float32) for frame in frames])
-    return CameraSnapshot(camera, recording.color(camera, next(iter(color))), averaged(stack), len(frames))
+    frames = min(len(recording.depth_files[camera]), MOST_FRAMES)
+    return CameraSnapshot(camera, recording.color(camera, next(iter(color))), depth_m, frames)
+
+
+def depth_of(recording: Recording, camera: str, frames: Sequence[str] | None = None) -> FloatArray | None:
+    """Depth (h, w) of a still scene, metres as measured: the mean of these frames, None: of up to `MOST_FRAMES` of all.
+
+    The readings near their median count: sensors that quantise depth send one of two steps, and the mean of many readings
+    lies between. None where the camera has none of the frames.
+    """
+    have = recording.depth_files[camera]
+    chosen = [*have] if frames is None else [frame for frame in frames if frame in have]
+    if not chosen:
+        return None
+    if len(chosen) > MOST_FRAMES:
+        chosen = [chosen[i] for i in np.linspace(0, len(chosen) - 1, MOST_FRAMES).round().astype(int)]
+    return averaged(np.stack([recording.depth_own_m(camera, frame).astype(np.float32) for frame in chosen]))
 
 
 def newest_frames(recording: Recording, frames: int) -> Recording:

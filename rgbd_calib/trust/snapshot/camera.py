@@ -33,7 +33,7 @@ class Before:
 
     def __init__(self, camera: RigCamera, snapshot: CameraSnapshot) -> None:
         self.camera = camera
-        self.surface = Surface(camera, snapshot)
+        self.surface = Surface(camera, snapshot.depth_m)
         self.grey = pixels.grey(snapshot.color)
 
 

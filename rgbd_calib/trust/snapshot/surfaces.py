@@ -15,7 +15,7 @@ import numpy as np
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.types import CameraSnapshot, RigCamera
+from rgbd_calib.types import RigCamera
 
 WINDOW_PX = 9
 """About the matching window of structured light: smaller patches share their noise."""
@@ -45,12 +45,12 @@ class Patches:
 
 
 class Surface:
-    """The surfaces that a camera's depth shows, in its colour camera's frame, corrected by the rig."""
+    """The surfaces that a depth image (h, w), metres as measured, shows, in the colour camera's frame, corrected by the rig."""
 
-    def __init__(self, camera: RigCamera, snapshot: CameraSnapshot) -> None:
+    def __init__(self, camera: RigCamera, depth_m: FloatArray) -> None:
         self._camera = camera.depth_sensor.camera
         self._T_depth_color = se3.inverse(self._camera.T_color_depth)
-        self.points_m = camera.depth_image.points(snapshot.depth_m)
+        self.points_m = camera.depth_image.points(depth_m)
         """(h, w, 3)."""
         seen = np.asarray(np.isfinite(self.points_m).all(axis=-1))
         p = np.where(seen[..., None], self.points_m, 0.0)
