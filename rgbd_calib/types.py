@@ -222,3 +222,16 @@ class Correspondences:
     """(n3, 3), metres, in the colour camera's frame, depth bias removed."""
     xyz_covariance: FloatArray | None = None
     """(n3, 3, 3), in the colour camera's frame, known up to one common factor sigma_3d^2; None: the identity."""
+
+
+@dataclass(frozen=True, eq=False)
+class CameraSnapshot:
+    """One camera's images of a still scene: one colour image, and the mean of its depth images."""
+
+    camera: str
+    color: np.ndarray
+    """(h, w, 3), uint8, B G R."""
+    depth_m: FloatArray
+    """(h, w) of the depth image, metres as measured, NaN where there is none."""
+    frames: int
+    """Depth images in the mean."""

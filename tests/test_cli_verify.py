@@ -213,3 +213,17 @@ def test_calibrate_in_the_boards_world_and_in_a_cameras(run, drawn, tmp_path):
     truth = ("--truth", drawn / "rig.yaml", "--json")
     same = [json.loads(run("evaluate", tmp_path / f"{name}.yaml", *truth).stdout)["all"] for name in ("plain", "board")]
     assert same[0]["mean_mm"] == pytest.approx(same[1]["mean_mm"], rel=1e-6)
+
+
+def test_calibrate_keeps_what_a_snapshot_says_beside_the_rig(run, drawn, tmp_path):
+    out = tmp_path / "rig.yaml"
+    args = ("--intrinsics", drawn / "intrinsics.yaml", "--method", "init", "-o", out)
+    result = run("calibrate", *arguments(drawn), *args, "--snapshot", drawn / "recording")
+    assert result.status == 0 and "Kept the snapshot in" in result.stderr, result.stderr
+    kept, source = open_recording(tmp_path / "rig.snapshot"), open_recording(drawn / "recording")
+    assert kept.frames == ("000000",) and kept.board is None and set(kept.cameras) == {"C1", "C2", "C3"}
+    first = source.frames[0]
+    assert np.array_equal(kept.color("C1", "000000"), source.color("C1", first))
+    assert np.isfinite(kept.depth_m("C1", "000000")).any()
+    again = run("calibrate", *arguments(drawn), *args, "--overwrite", "--snapshot", tmp_path / "none")
+    assert again.status == 2 and "no such folder" in again.stderr

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from rgbd_calib.io.growing_recording import CameraImages
-from rgbd_calib.sensors.depth_average import median_depth
+from rgbd_calib.sensors.depth_average import mean_depth, median_depth
 from rgbd_calib.sensors.frames import PERIOD_S, FrameSet, SensorFrame
 from rgbd_calib.sensors.rig import Rig
 
@@ -28,6 +28,8 @@ class DepthParams:
     """The median of so many; 1 stores what the device sent."""
     alternate_emitters: bool = False
     """Only one infrared projector shines at a time while its camera's depth is taken."""
+    mean: bool = False
+    """Their mean instead, for snapshots: a median of quantised depth stays quantised."""
 
 
 class Photographer:
@@ -63,7 +65,8 @@ class Photographer:
                 continue
             if taken[0] is not frame.depth:
                 times_s[camera] = self._rig.reader(camera).depth_host_s(taken[len(taken) // 2])
-            depth_raw = median_depth([f.pixels for f in taken])
+            average = mean_depth if self._params.mean else median_depth
+            depth_raw = average([f.pixels for f in taken])
             color_us, depth_us = self._us(frame.color_s), self._us(times_s[camera])
             out[camera] = CameraImages(_bgr(frame.color.pixels), depth_raw, color_us, depth_us)
         return out

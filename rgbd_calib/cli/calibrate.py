@@ -54,6 +54,12 @@ if TYPE_CHECKING:
 )
 @click.option("--update", type=OUTPUT, help="A rig file to change, with --only or --world.")
 @click.option("--only", metavar="CAMERA", help="With --update: pose this camera anew, or add it; the others stay.")
+@click.option(
+    "--snapshot",
+    type=click.Path(path_type=Path),
+    help="A recording of the empty scene: what `verify` needs of it is kept in the folder RIG.snapshot. With --update: the one "
+    "that is as old as that rig; cameras that moved since are corrected by RECORDING, without a board.",
+)
 @click.option("--report", type=OUTPUT, help="Folder for a report, index.html: whether to trust the rig.")
 @click.option(
     "--strict",
@@ -84,6 +90,7 @@ def command(
     world: str | None,
     update: Path | None,
     only: str | None,
+    snapshot: Path | None,
     report: Path | None,
     strict: bool,
     max_views: int | None,
@@ -115,7 +122,8 @@ def command(
 
     With --update nothing else is calibrated: --only CAMERA poses one camera against the others of the rig, by views that it
     shares with them, with the lens and depth bias that the rig has (or --intrinsics, --depth-bias); a camera that the rig
-    lacks is calibrated whole and added. All other entries stay as they are, byte for byte. --world moves the whole rig.
+    lacks is calibrated whole and added. All other entries stay as they are, byte for byte. --snapshot OLD corrects the cameras that moved since that snapshot of the empty
+    scene, by another one, and is refused where the scene does not determine a motion. --world moves the whole rig.
 
     \b
     Examples:
@@ -124,6 +132,7 @@ def command(
       rgbd-calib calibrate demo/extrinsic --intrinsics intrinsics.yaml --method biobjective -o rig.yaml
       rgbd-calib calibrate demo/extrinsic --world floor -o rig.yaml
       rgbd-calib calibrate monday --update rig.yaml --only C3 -o rig2.yaml
+      rgbd-calib calibrate monday --update rig.yaml --snapshot friday -o rig2.yaml
       rgbd-calib calibrate monday --update rig.yaml --world board:000004 -o rig2.yaml
     """
     output = output or update
@@ -141,16 +150,25 @@ def command(
         if max_views is not None:
             raise click.UsageError("--max-views goes without --update, which needs all views of one camera")
         refuse_existing(output, overwrite)
-        updating.update(recording, update, output, only, world, intrinsics, depth_bias, corners, config, seed, workers)
+        updating.update(
+            recording, update, output, only, world, snapshot, intrinsics, depth_bias, corners, config, seed, workers
+        )
         return
     if only is not None:
         raise click.UsageError("--only CAMERA goes with --update RIG")
+    from rgbd_calib.io.files import whole_folder
+    from rgbd_calib.io.recording import open_recording
+    from rgbd_calib.io.snapshot import keep_snapshot, kept_beside
+
     left = output.with_name(f"{output.stem}.residuals.csv")
+    kept = kept_beside(output)
+    if snapshot is not None:
+        refuse_existing(kept, overwrite, folder=True)
+        empty = open_recording(snapshot)
     page = report / "index.html" if report else None
     for path in filter(None, (output, left, correspondences, page)):
         refuse_existing(path, overwrite)
     from rgbd_calib.io.correspondences import write_correspondences
-    from rgbd_calib.io.recording import open_recording
     from rgbd_calib.io.residuals import write_result
     from rgbd_calib.pipeline.calibrate import calibrate, reference_of
     from rgbd_calib.pipeline.config import load_config
@@ -214,6 +232,10 @@ def command(
         x, y, z = camera.T_world_color[:3, 3]
         show(f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m  {sure}")
     say(f"Wrote {output}, and the per-corner residuals to {left}")
+    if snapshot is not None:
+        with whole_folder(kept, overwrite) as folder:
+            size = keep_snapshot(folder, empty)
+        say(f"Kept the snapshot in {kept}, {size / 1e6:.1f} MB: `rgbd-calib verify {output} NEW` compares with it")
     if report is not None:
         from rgbd_calib.pipeline.report import write_report
 

@@ -12,12 +12,19 @@ import click
 from rgbd_calib.cli.options import OUTPUT, board_options, driver_option, redist_option, say
 from rgbd_calib.errors import ConfigError
 
+SNAPSHOT_FRAMES = 30
+
 
 @click.command()
 @click.argument("out", type=OUTPUT)
 @board_options
 @click.option("--intrinsic", is_flag=True, help="One camera after the other, the board close in front of it.")
 @click.option("--depth-bias", is_flag=True, help="One camera after the other, a wall at known distances.")
+@click.option(
+    "--snapshot",
+    is_flag=True,
+    help="One shot of the empty scene, depth the mean of 30 frames, for `verify --snapshot`: no board.",
+)
 @click.option("--distances", metavar="M,M,...", help="With --depth-bias: the distances to go through, metres.")
 @click.option("--on-still", is_flag=True, help="Take a shot whenever the board is held still in a new pose.")
 @click.option("--interval", type=click.FloatRange(0), help="Seconds between shots.  [default: 0.5]")
@@ -27,7 +34,7 @@ from rgbd_calib.errors import ConfigError
     "--pairs-only", is_flag=True, help="Ask for common views of cameras only, not for coverage of each image."
 )
 @click.option(
-    "--depth-frames", type=click.IntRange(1, 100), default=1, show_default=True, help="Depth is the median of so many."
+    "--depth-frames", type=click.IntRange(1, 100), default=None, help="Depth is the median of so many.  [default: 1]"
 )
 @click.option("--alternate-emitters", is_flag=True, help="One infrared projector at a time, against interference.")
 @click.option("--auto-exposure", is_flag=True, help="Leave exposure and white balance automatic.")
@@ -67,13 +74,14 @@ def command(
     board: Callable[[], object],
     intrinsic: bool,
     depth_bias: bool,
+    snapshot: bool,
     distances: str | None,
     on_still: bool,
     interval: float | None,
     count: int | None,
     until_enough: bool,
     pairs_only: bool,
-    depth_frames: int,
+    depth_frames: int | None,
     alternate_emitters: bool,
     auto_exposure: bool,
     devices: tuple[str, ...],
@@ -91,6 +99,7 @@ def command(
     \b
       rgbd-calib capture rig1/extrinsic --board 9x6 --square 0.06 --on-still --until-enough --preview
       rgbd-calib capture rig1/intrinsic --board 9x6 --square 0.06 --intrinsic
+      rgbd-calib capture rig1/empty --snapshot
       rgbd-calib capture rig1/depth_bias --depth-bias --distances 0.8,1.2,1.6,2.0,2.5,3.0
 
     Ctrl-C stops cleanly, with exit status 0 and all that was recorded. The status is 1 where it could not go
@@ -101,6 +110,11 @@ def command(
         raise ConfigError("--intrinsic and --depth-bias: both given, one recording is for one of them. Run it twice")
     if distances and not depth_bias:
         raise ConfigError("--distances belongs to --depth-bias. Add that, or leave it out")
+    if snapshot and (intrinsic or depth_bias or on_still or until_enough or append):
+        raise ConfigError(
+            "--snapshot: one shot of the empty scene, without --intrinsic, --depth-bias, --on-still, --until-enough and --append. "
+            "Leave them out"
+        )
     named_board = board()
     if named_board is None and not append and (intrinsic or on_still or until_enough):
         option = "--intrinsic" if intrinsic else "--on-still" if on_still else "--until-enough"
@@ -117,7 +131,7 @@ def command(
     wait_for_stillness = on_still or (intrinsic and interval is None)
     mode = ModeParams(
         interval_s=0.5 if interval is None else interval,
-        count=count,
+        count=1 if snapshot and count is None else count,
         on_still=wait_for_stillness,
         until_enough=until_enough or (intrinsic and count is None),
     )
@@ -125,7 +139,7 @@ def command(
         out,
         "intrinsic" if intrinsic else "depth-bias" if depth_bias else "rig",
         mode,
-        DepthParams(depth_frames, alternate_emitters),
+        DepthParams(depth_frames or (SNAPSHOT_FRAMES if snapshot else 1), alternate_emitters, snapshot),
         CoverageParams(judge_cameras=not pairs_only),
         named_board,  # type: ignore[arg-type]
         parse_devices(devices),

@@ -19,6 +19,11 @@ if TYPE_CHECKING:
 @click.option(
     "--recording", type=click.Path(path_type=Path), help="A recording of the board that the rig was not made from."
 )
+@click.option(
+    "--clouds",
+    type=click.Path(path_type=Path),
+    help="A recording with depth: compare the clouds of the cameras on surfaces that two of them see.",
+)
 @corners_option
 @click.option("--json", "as_json", is_flag=True, help="Print all numbers as JSON.")
 @config_option
@@ -27,29 +32,39 @@ def command(
     rig: Path,
     truth: Path | None,
     recording: Path | None,
+    clouds: Path | None,
     corners: Path | None,
     as_json: bool,
     config: Path | None,
     workers: Workers,
 ) -> None:
-    """Evaluate RIG against the truth of a simulation, or against a recording.
+    """Evaluate RIG against the truth of a simulation, or against a recording of the board or of any scene.
 
     Alignment is the distance between the places where two cameras put the same point, each by its own pixel and depth.
     Against the truth it is measured without noise on a grid over the volume where the board was; against a recording, on
     the corners that two cameras saw, by the depth they measured, with its noise.
+
+    --clouds needs no board: the distance between the clouds of two cameras, point to plane, on surfaces that face both, with
+    and without the share that the noise of depth has in it. Errors along a surface do not show in it.
 
     \b
     Examples:
       rgbd-calib evaluate rig.yaml --truth demo/truth.yaml
       rgbd-calib evaluate rig.yaml --recording demo/extrinsic
       rgbd-calib evaluate rig.yaml --truth demo/truth.yaml --json
+      rgbd-calib evaluate rig.yaml --clouds empty
     """
-    if (truth is None) == (recording is None):
-        raise click.UsageError("give one of --truth FILE and --recording RECORDING")
+    if sum(source is not None for source in (truth, recording, clouds)) != 1:
+        raise click.UsageError("give one of --truth FILE, --recording RECORDING and --clouds RECORDING")
     from rgbd_calib.io.plain import to_json
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.evaluate import evaluate_recording, evaluate_truth
 
+    if clouds is not None:
+        from rgbd_calib.pipeline.clouds import evaluate_clouds
+
+        _tell_clouds(evaluate_clouds(rig, clouds), as_json)
+        return
     if truth is not None:
         summary = evaluate_truth(rig, truth)
     else:
@@ -67,6 +82,22 @@ def command(
         for name, numbers in summary[part].items():
             show(f"{name}: {_line(numbers)}")
     show(f"alignment: {_line(summary['all'])}")
+
+
+def _tell_clouds(summary: dict[str, Any], as_json: bool) -> None:
+    from rgbd_calib.io.plain import to_json
+
+    if as_json:
+        show(to_json(summary, indent=2))
+        return
+    for name, own in (summary["pairs"] | {"all pairs": summary["all"]}).items():
+        error = f"{own['error_mm']:.2f} mm RMS without noise, " if "error_mm" in own else ""
+        show(
+            f"{name}: {error}{own['rms_mm']:.2f} mm RMS and {own['median_mm']:.2f} mm in the median with it; {own['patches']} patches, "
+            f"{100 * own['overlap_share']:.0f} % of the surfaces in common"
+        )
+    if summary["without_overlap"]:
+        show(f"no surfaces in common: {', '.join(summary['without_overlap'])}")
 
 
 def _line(numbers: dict[str, Any]) -> str:

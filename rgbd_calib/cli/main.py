@@ -32,6 +32,7 @@ COMMANDS = (
     "refine",
     "evaluate",
     "verify",
+    "monitor",
     "report",
     "view",
     "fuse",

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from rgbd_calib.cli import options
+from rgbd_calib.cli.scene_change import scene_change_options
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rgbd_calib.simulation.changes import SceneChange
+    from rgbd_calib.simulation.params import SimulationParams
 
 
 @click.command("simulate")
@@ -136,6 +143,7 @@ from rgbd_calib.cli import options
 @click.option(
     "--no-noise", is_flag=True, help="Like --ideal, and no noise, blur or bias; depth is exact to the millimetre."
 )
+@scene_change_options
 @options.seed_option
 @options.overwrite_option
 @options.jobs_option
@@ -173,6 +181,7 @@ def command(
     no_image_errors: bool,
     no_bias: bool,
     no_noise: bool,
+    scene_change: Callable[[], tuple[SceneChange, int] | None],
     seed: int,
     overwrite: bool,
     jobs: int | None,
@@ -192,6 +201,13 @@ def command(
     OUT/truth.yaml        true rig, board shape, walls, and board pose of each frame
     OUT/true_corners.csv  true corner positions in each image, and their visibility
 
+    With --snapshot, the empty room instead, before and after a change, as `verify --snapshot` compares them. The same
+    options and seed give the same rig with and without --snapshot.
+
+    \b
+    OUT/old, OUT/new      one colour image and some depth images of each camera
+    OUT/truth.yaml        true rig, and in quality.snapshot the motion of each camera
+
     \b
     Examples:
       rgbd-calib simulate demo
@@ -199,6 +215,7 @@ def command(
       rgbd-calib simulate perfect --ideal
       rgbd-calib simulate kinects --sensor tof --unregistered --infrared --lens rational
       rgbd-calib simulate clean --no-noise --frames 12
+      rgbd-calib simulate bumped --snapshot --move C2:8,0,0,0,0.4,0 --people 2 --light 0.5
     """
     options.refuse_existing(out, overwrite, folder=True)
     cols, rows = _board_size(board)
@@ -249,6 +266,10 @@ def command(
         realism=IDEAL if ideal or no_noise else Realism(print_scale=print_scale).without(*off),
     )
     begin = time.monotonic()
+    change = scene_change()
+    if change is not None:
+        _snapshots(out, params, *change, overwrite, jobs or os.cpu_count() or 1)
+        return
     with whole_folder(out, overwrite) as folder:
         counts = simulate(folder, params, jobs or os.cpu_count() or 1, options.progress)
     options.say(
@@ -256,6 +277,18 @@ def command(
         + ", ".join(f"{name} {n} frames" for name, n in counts.items())
         + f"; {time.monotonic() - begin:.0f} s"
     )
+
+
+def _snapshots(
+    out: Path, params: SimulationParams, change: SceneChange, frames: int, overwrite: bool, jobs: int
+) -> None:
+    from rgbd_calib.io.files import whole_folder
+    from rgbd_calib.simulation.snapshot import simulate_snapshots
+
+    with whole_folder(out, overwrite) as folder:
+        changed = simulate_snapshots(folder, params, change, frames, jobs, options.progress)
+    shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in changed.items())
+    options.say(f"{out}: old and new snapshots of {params.cameras} cameras; changed: {shares}")
 
 
 _OWN_SIZES = {"tof": "512x424"}

@@ -18,6 +18,7 @@ def update(
     output: Path,
     only: str | None,
     world: str | None,
+    snapshot: Path | None,
     intrinsics: Path | None,
     depth_bias: Path | None,
     corners: Path | None,
@@ -26,11 +27,14 @@ def update(
     workers: Workers,
 ) -> None:
     """Change the rig file `rig_path` by what RECORDING shows, and write it to `output`."""
-    if (only is None) == (world is None):
+    if sum(option is not None for option in (only, world, snapshot)) != 1:
         raise ConfigError(
-            "--update: give --only CAMERA, which changes one camera and leaves the others as they are, or --world, which moves "
-            "all of them"
+            "--update: give one of --only CAMERA, which poses one camera anew by a board, --snapshot OLD, which corrects those that "
+            "moved since that snapshot, and --world, which moves all of them"
         )
+    if snapshot is not None:
+        _by_snapshot(recording, rig_path, output, snapshot, config, seed)
+        return
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.io.rig import read_rig, write_rig
     from rgbd_calib.io.rig_update import write_update
@@ -78,6 +82,38 @@ def update(
         for pair, numbers in result.report["alignment"].items():
             if "median_mm" in numbers:
                 show(f"{pair}: {numbers['median_mm']:.2f} mm apart in the median, including single-reading depth noise")
+    say(f"Wrote {output}")
+
+
+def _by_snapshot(
+    recording: Path, rig_path: Path, output: Path, snapshot: Path, config: Path | None, seed: int | None
+) -> None:
+    from rgbd_calib.cli.verify import snapshot_table
+    from rgbd_calib.io.recording import open_recording
+    from rgbd_calib.io.rig import read_rig
+    from rgbd_calib.io.rig_update import write_updates
+    from rgbd_calib.pipeline.calibrate import provenance_of
+    from rgbd_calib.pipeline.config import load_config
+    from rgbd_calib.pipeline.snapshot import corrected_by, summary, verify_snapshot
+    from rgbd_calib.trust.snapshot import SnapshotParams
+
+    rig, old = read_rig(rig_path), open_recording(snapshot)
+    new = open_recording(recording)
+    verdict = verify_snapshot(rig, new, old, SnapshotParams())
+    numbers = summary(verdict)
+    for line in snapshot_table(numbers):
+        show(line)
+    changes = corrected_by(rig, verdict, new, old)
+    provenance = {
+        "snapshot": str(snapshot),
+        **provenance_of(load_config(config, seed=seed)),
+        "recording": str(recording),
+    }
+    write_updates(rig_path, output, changes, {name: provenance | {"only": name} for name in changes})
+    for name, (_, report) in changes.items():
+        show(f"{name}: corrected by {report['moved_mm']:.2f} mm and {report['turned_deg']:.3f}°")
+    if not changes:
+        show("No camera moved against the others: the poses stay as they are")
     say(f"Wrote {output}")
 
 

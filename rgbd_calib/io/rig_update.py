@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
 import yaml
 
 from rgbd_calib.errors import ConfigError
+from rgbd_calib.io import safe_yaml
 from rgbd_calib.io.files import dump_yaml, load_yaml, write_text
 from rgbd_calib.io.reading import read_bytes
 from rgbd_calib.io.residuals import HASH_KEY
@@ -32,8 +34,28 @@ def write_update(
     ConfigError
         The file's sections are not blocks (a whole section in braces).
     """
-    data = load_yaml(source)
+    write_updates(source, output, {name: (camera, report)}, {name: provenance})
+
+
+def write_updates(
+    source: Path,
+    output: Path,
+    changes: Mapping[str, tuple[RigCamera, dict[str, Any]]],
+    provenance: Mapping[str, dict[str, Any]],
+) -> None:
+    """The same for several cameras, or none: entry and report, and provenance, by camera."""
+    load_yaml(source)  # that it is safe to read, and a mapping
     text = read_bytes(source, MAX_BYTES).decode("utf-8")
+    for name, (camera, report) in changes.items():
+        text = _updated(text, source, name, camera, report, provenance[name])
+    write_text(output, text)
+
+
+def _updated(
+    text: str, source: Path, name: str, camera: RigCamera, report: dict[str, Any], provenance: dict[str, Any]
+) -> str:
+    """The text of a rig file with one entry changed; `source` is for messages."""
+    data = safe_yaml.load(text)
     lines = text.splitlines(keepends=True)
     if lines and not lines[-1].endswith("\n"):
         lines[-1] += "\n"
@@ -65,7 +87,7 @@ def write_update(
     # from the end, so that earlier line numbers hold; of two additions at one line the later stands below
     for _, ((start, stop), block) in sorted(enumerate(changes), key=lambda c: (c[1][0][0], c[0]), reverse=True):
         lines[start:stop] = block
-    write_text(output, "".join(lines))
+    return "".join(lines)
 
 
 def _blocks(node: yaml.Node, end: int, path: Path) -> dict[str, tuple[int, int]]:

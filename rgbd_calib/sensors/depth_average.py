@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rgbd_calib.io.snapshot import averaged
+
 
 def median_depth(images: Sequence[np.ndarray]) -> np.ndarray:
     """Median over raw depth images (h, w) uint16, where 0 is no measurement; one image comes back as it is.
@@ -20,3 +22,10 @@ def median_depth(images: Sequence[np.ndarray]) -> np.ndarray:
     middle = len(images) - measured + (measured - 1) // 2  # zeros sort to the front
     picked = np.take_along_axis(stack, np.minimum(middle, len(images) - 1)[None], axis=0)[0]
     return np.where(2 * measured >= len(images), picked, 0).astype(np.uint16)
+
+
+def mean_depth(images: Sequence[np.ndarray]) -> np.ndarray:
+    """Mean over raw depth images (h, w) uint16 without outliers, in whole units, 0 where half of them measured nothing."""
+    stack = np.stack(images).astype(np.float32)
+    stack[stack == 0] = np.nan
+    return np.rint(np.nan_to_num(averaged(stack))).astype(np.uint16)

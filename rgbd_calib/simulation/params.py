@@ -14,7 +14,7 @@ from rgbd_calib.simulation.rig import Layout, Sensor
 from rgbd_calib.simulation.time_of_flight import TimeOfFlight
 from rgbd_calib.types import Board
 
-RIG, SHARED, CLOSE, ROOM, IMAGE, WALL, PRINT, SENSORS, TAPE, LIGHT, LENSES = range(11)
+RIG, SHARED, CLOSE, ROOM, IMAGE, WALL, PRINT, SENSORS, TAPE, LIGHT, LENSES, SNAPSHOT = range(12)
 """First element of the key of each random generator."""
 
 

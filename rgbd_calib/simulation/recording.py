@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.io import recording as files
@@ -26,6 +26,7 @@ from rgbd_calib.simulation.truth import write_truth
 from rgbd_calib.types import DepthCamera
 
 Progress = Callable[[Iterable[Any], int, str], Iterator[Any]]
+T = TypeVar("T")
 
 CORNER_COLUMNS = (
     "recording", "camera", "frame", "face", "feature", "u_px", "v_px", "x_m", "y_m", "z_m", "visible",
@@ -49,7 +50,7 @@ def simulate(folder: Path, params: SimulationParams, jobs: int, progress: Progre
     with tempfile.TemporaryDirectory(prefix="rgbd-calib-") as rooms:
         setting = Setting(params, truth, made, folder, Path(rooms))
         corners: dict[tuple[str, str, str], list[tuple[Any, ...]]] = {}
-        with _workers(setting, jobs) as run:
+        with workers(start, setting, jobs) as run:
             for _ in progress(run(make_room, truth.cameras), len(truth.cameras), "empty room"):
                 pass
             for key, rows in progress(run(make_images, work), len(work), "images"):
@@ -59,15 +60,18 @@ def simulate(folder: Path, params: SimulationParams, jobs: int, progress: Progre
     _write_datasets(folder, params, truth, work)
     walls = {c: {j.frame: j.wall for j in work if j.wall is not None and j.camera == c} for c in truth.cameras}
     warm = {j.frame: j.warm for j in sorted(work, key=lambda j: j.frame)}
-    write_truth(folder / "truth.yaml", truth, made, walls, warm, shared | close, _provenance(params))
+    write_truth(folder / "truth.yaml", truth, made, walls, warm, shared | close, provenance(params))
     return {
         name: len({j.frame for j in work if j.recording == name}) for name in ("extrinsic", "intrinsic", "depth_bias")
     }
 
 
 @contextmanager
-def _workers(setting: Setting, jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]]:
-    """A `map` in any order: over processes of one thread each, or, with one job, in this process."""
+def workers(
+    start: Callable[[T], None], setting: T, jobs: int
+) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]]:
+    """A `map` in any order: over processes of one thread each, or, with one job, in this process; each calls
+    ``start(setting)`` first."""
     if jobs == 1:
         start(setting)
         yield map
@@ -100,7 +104,7 @@ def _write_datasets(folder: Path, params: SimulationParams, truth: TrueRig, work
     infos = {c: files.CameraInfo(params.width, params.height, serial=f"simulated-{c}") for c in truth.cameras}
     for name in dict.fromkeys(j.recording for j in work):
         board = None if name == "depth_bias" else params.board
-        files.write_dataset(folder / name, infos, board, _unregistered(infos, truth.stated_depth))
+        files.write_dataset(folder / name, infos, board, unregistered(infos, truth.stated_depth))
     for c in truth.cameras:
         walls = {j.frame: j.wall for j in work if j.wall is not None and j.camera == c}
         rows = [(frame, *taped.written) for frame, taped in walls.items()]
@@ -109,7 +113,7 @@ def _write_datasets(folder: Path, params: SimulationParams, truth: TrueRig, work
             files.write_table(folder / "depth_bias" / c / "distances.csv", columns, rows)
 
 
-def _unregistered(infos: Mapping[str, files.CameraInfo], stated: Mapping[str, DepthCamera]) -> dict[str, Any] | None:
+def unregistered(infos: Mapping[str, files.CameraInfo], stated: Mapping[str, DepthCamera]) -> dict[str, Any] | None:
     """What dataset.yaml says otherwise where depth has a camera of its own."""
     if not stated:
         return None
@@ -126,7 +130,7 @@ def _unregistered(infos: Mapping[str, files.CameraInfo], stated: Mapping[str, De
     return {"depth_registered": False, "cameras": cameras}
 
 
-def _provenance(params: SimulationParams) -> dict[str, Any]:
+def provenance(params: SimulationParams) -> dict[str, Any]:
     from rgbd_calib import __version__
 
     noise = params.depth_noise

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from rgbd_calib.simulation.scene import Scene, box, cone, join, quad, rod
@@ -41,27 +43,34 @@ BOOKS = tuple(
 )
 
 
-def furnished_room() -> Scene:
-    """Walls, floor, ceiling and furniture; the middle is free for the board."""
-    return join(
-        [
-            _shell(),
-            _table(1.75, 1.35, 1.3, 0.8, 0.74),
-            _chair(1.45, 0.62, 1),
-            _chair(2.15, 0.55, 1),
-            _chair(1.75, 2.1, -1),
-            _sofa(-1.5, 2.45),
-            _coffee_table(-1.35, 1.25),
-            _shelf(2.45, 2.78),
-            _sideboard(-3.15, -0.9),
-            _plant(-3.0, 2.55),
-            _floor_lamp(0.25, 2.6),
-            _chair(2.5, -1.9, 1),
-            _table(2.75, -2.45, 1.1, 0.6, 0.74),
-            _plant(3.0, -0.6),
-            _shelf(-2.2, -2.8),
-        ]
+def furniture() -> tuple[Scene, ...]:
+    """Everything that stands in the room, piece by piece; the middle is free for the board."""
+    return (
+        _table(1.75, 1.35, 1.3, 0.8, 0.74),
+        _chair(1.45, 0.62, 1),
+        _chair(2.15, 0.55, 1),
+        _chair(1.75, 2.1, -1),
+        _sofa(-1.5, 2.45),
+        _coffee_table(-1.35, 1.25),
+        _shelf(2.45, 2.78),
+        _sideboard(-3.15, -0.9),
+        _plant(-3.0, 2.55),
+        _floor_lamp(0.25, 2.6),
+        _chair(2.5, -1.9, 1),
+        _table(2.75, -2.45, 1.1, 0.6, 0.74),
+        _plant(3.0, -0.6),
+        _shelf(-2.2, -2.8),
     )
+
+
+def furnished_room() -> Scene:
+    """Walls, floor, ceiling and furniture."""
+    return furnished_with(furniture())
+
+
+def furnished_with(pieces: Iterable[Scene]) -> Scene:
+    """Walls, floor and ceiling, and these things in it."""
+    return join([_shell(), *pieces])
 
 
 def _shell() -> Scene:

@@ -1,0 +1,89 @@
+"""How far apart the clouds of a rig's cameras are, on the scene itself."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rgbd_calib.errors import CalibrationError
+from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.blas import one_blas_thread
+from rgbd_calib.io.recording import Recording, open_recording
+from rgbd_calib.io.rig import read_rig
+from rgbd_calib.io.snapshot import depth_of
+from rgbd_calib.pipeline.rig_inputs import common_cameras
+from rgbd_calib.trust.snapshot.clouds import CloudGap, cloud_gap
+from rgbd_calib.trust.snapshot.surfaces import Surface
+from rgbd_calib.types import Rig
+
+MOST_FRAMES = 5
+"""Of a recording in which the board moves: each is compared by itself."""
+LEAST_PATCHES = 50
+
+
+@one_blas_thread
+def evaluate_clouds(rig_path: Path, path: Path) -> dict[str, Any]:
+    """Distances between the clouds of each pair of cameras, as plain numbers.
+
+    Raises
+    ------
+    CalibrationError
+        No two cameras see the same surfaces.
+    """
+    rig, recording = read_rig(rig_path), open_recording(path)
+    cameras = common_cameras(recording, rig)
+    pairs: dict[tuple[str, str], CloudGap] = {}
+    for frames in _instants(recording):
+        surfaces = {}
+        for name in cameras:
+            depth_m = depth_of(recording, name, frames)
+            if depth_m is not None:
+                surfaces[name] = Surface(rig.cameras[name], depth_m)
+        for pair in combinations(surfaces, 2):
+            gap = _gap(rig, surfaces, pair)
+            pairs[pair] = pairs[pair].joined(gap) if pair in pairs else gap
+    kept = {pair: gap for pair, gap in pairs.items() if len(gap.distance_m) >= LEAST_PATCHES}
+    if not kept:
+        raise CalibrationError(
+            f"{recording.path}: no two cameras see the same surfaces from the same side; {LEAST_PATCHES} patches in common are "
+            "needed. Put things where two cameras see them, or evaluate on a board: --recording"
+        )
+    together = CloudGap(
+        np.concatenate([gap.distance_m for gap in kept.values()]),
+        np.concatenate([gap.products_m2 for gap in kept.values()]),
+        float(np.mean([gap.share for gap in kept.values()])),
+    )
+    return {
+        "all": _numbers(together),
+        "pairs": {" - ".join(pair): _numbers(gap) for pair, gap in kept.items()},
+        "without_overlap": [" - ".join(pair) for pair in pairs if pair not in kept],
+    }
+
+
+def _instants(recording: Recording) -> list[list[str] | None]:
+    """Frames to take together: all of a still scene, single ones where a board is moved."""
+    if recording.board is None:
+        return [None]
+    frames = recording.frames
+    chosen = np.unique(np.linspace(0, len(frames) - 1, min(MOST_FRAMES, len(frames))).round().astype(int))
+    return [[frames[i]] for i in chosen]
+
+
+def _gap(rig: Rig, surfaces: dict[str, Surface], pair: tuple[str, str]) -> CloudGap:
+    a, b = pair
+    T_a_b = se3.inverse(rig.cameras[a].T_world_color) @ rig.cameras[b].T_world_color
+    return cloud_gap(surfaces[a], surfaces[b], T_a_b).joined(cloud_gap(surfaces[b], surfaces[a], se3.inverse(T_a_b)))
+
+
+def _numbers(gap: CloudGap) -> dict[str, float]:
+    mm = 1e3 * np.abs(gap.distance_m)
+    out = {
+        "patches": len(mm),
+        "median_mm": float(np.median(mm)),
+        "rms_mm": float(np.sqrt(np.mean(mm**2))),
+        "overlap_share": gap.share,
+    }
+    return out if np.isnan(gap.error_m) else out | {"error_mm": 1e3 * gap.error_m}

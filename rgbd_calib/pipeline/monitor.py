@@ -1,0 +1,175 @@
+"""A rig watched over days: the same comparison with one old snapshot, round after round.
+
+Nothing grows from round to round: the old snapshot's surfaces are made once, each round's are dropped. A round that fails
+(a camera in use, a file half written) is reported, and the next one follows.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from rgbd_calib.errors import CalibrationError, RgbdCalibError
+from rgbd_calib.io.recording import open_recording
+from rgbd_calib.io.snapshot import newest_frames, read_snapshot
+from rgbd_calib.pipeline.snapshot import compare_with, summary
+from rgbd_calib.trust.snapshot import Before, SnapshotParams, judge_motions
+from rgbd_calib.types import CameraSnapshot, Rig
+
+Source = Callable[[], Mapping[str, CameraSnapshot] | None]
+"""New snapshots by camera; None where there is nothing new since the last call."""
+
+
+@dataclass(frozen=True)
+class MonitorParams:
+    every_s: float = 60.0
+    confirm: int = 3
+    """Rounds in a row that must find a camera moved before it counts as drift: people pass."""
+    rounds: int | None = None
+    """None: until stopped."""
+    snapshot: SnapshotParams = field(default_factory=SnapshotParams)
+
+
+@dataclass(frozen=True)
+class Round:
+    """One comparison."""
+
+    number: int
+    time: str
+    """UTC, ISO 8601."""
+    numbers: dict[str, Any] | None
+    """As :func:`..snapshot.summary`; None where there was none."""
+    problem: str
+    """Why there was none."""
+    drift: bool
+    """A camera moved, in so many rounds in a row."""
+    seconds: float
+
+    @property
+    def status(self) -> str:
+        """holds, moved, undetermined, or failed."""
+        if self.numbers is None:
+            return "failed"
+        return "holds" if self.numbers["holds"] else "moved" if self.numbers["moved"] else "undetermined"
+
+    def line(self) -> dict[str, Any]:
+        """What a line of JSON has; without covariances and pairs."""
+        out: dict[str, Any] = {
+            "time": self.time, "round": self.number, "status": self.status, "drift": self.drift, "seconds": round(self.seconds, 3)
+        }  # fmt: skip
+        if self.numbers is None:
+            return out | {"problem": self.problem}
+        kept = {key: self.numbers[key] for key in ("verdict", "moved", "undetermined", "not_checked", "rig_motion")}
+        cameras = {
+            name: {key: value for key, value in own.items() if key != "covariance"}
+            for name, own in self.numbers["cameras"].items()
+        }
+        return out | kept | {"cameras": cameras}
+
+
+class FolderSource:
+    """The newest frames of a recording that another program fills."""
+
+    def __init__(self, path: Path, cameras: tuple[str, ...], frames: int) -> None:
+        self._path, self._cameras, self._frames = path, cameras, frames
+        self._seen: Any = None
+
+    def __call__(self) -> Mapping[str, CameraSnapshot] | None:
+        recording = open_recording(self._path)
+        recording = newest_frames(recording, self._frames)
+        stamps = [
+            (str(path), path.stat().st_mtime_ns)
+            for files in (recording.color_files, recording.depth_files)
+            for own in files.values()
+            for path in own.values()
+        ]
+        if stamps == self._seen:
+            return None
+        self._seen = stamps
+        found = {name: read_snapshot(recording, name) for name in self._cameras if name in recording.cameras}
+        return {name: snapshot for name, snapshot in found.items() if snapshot is not None}
+
+
+def watch(
+    rig: Rig,
+    before: Mapping[str, Before],
+    source: Source,
+    params: MonitorParams,
+    pause: Callable[[float], bool],
+) -> Iterator[Round]:
+    """Rounds until `params.rounds`, or until `pause` (seconds) says that it is to stop."""
+    in_a_row, number = 0, 0
+    while params.rounds is None or number < params.rounds:
+        number += 1
+        begin = time.monotonic()
+        numbers, problem = _round(rig, before, source, params)
+        in_a_row = in_a_row + 1 if numbers is not None and numbers["moved"] else in_a_row if numbers is None else 0
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        seconds = time.monotonic() - begin
+        yield Round(number, now, numbers, problem, in_a_row >= params.confirm, seconds)
+        last = params.rounds is not None and number >= params.rounds
+        if last or pause(max(params.every_s - (time.monotonic() - begin), 0.0)):
+            return
+
+
+def _round(
+    rig: Rig, before: Mapping[str, Before], source: Source, params: MonitorParams
+) -> tuple[dict[str, Any] | None, str]:
+    try:
+        taken = source()
+        if taken is None:
+            return None, "no new images since the last round"
+        both = [name for name in before if name in taken]
+        if not both:
+            raise CalibrationError(f"none of the cameras {', '.join(before)} has new colour and depth images")
+        found = compare_with(before, both, taken.get)
+        return summary(judge_motions(rig, found, params.snapshot)), ""
+    except (RgbdCalibError, OSError) as error:
+        return None, str(error)
+
+
+def metrics(round_: Round, failures: int) -> str:
+    """The state in Prometheus' text format, for a textfile collector."""
+    lines = [
+        *_metric("rgbd_calib_monitor_rounds_total", "counter", "Rounds since the start.", [("", round_.number)]),
+        *_metric("rgbd_calib_monitor_failures_total", "counter", "Rounds without a comparison.", [("", failures)]),
+        *_metric("rgbd_calib_monitor_drift", "gauge", "1 where a camera moved.", [("", int(round_.drift))]),
+        *_metric("rgbd_calib_monitor_seconds", "gauge", "Duration of the last round.", [("", round_.seconds)]),
+        *_metric(
+            "rgbd_calib_monitor_timestamp_seconds", "gauge", "Time of the last round.",
+            [("", datetime.fromisoformat(round_.time).timestamp())],
+        ),
+    ]  # fmt: skip
+    if round_.numbers is not None:
+        lines += _metric(
+            "rgbd_calib_rig_holds", "gauge", "1 where no camera moved.", [("", int(round_.numbers["holds"]))]
+        )
+        cameras = round_.numbers["cameras"]
+        for key, name, unit, text in (
+            ("displacement_mm", "displacement_metres", 1e-3, "Displacement at the working distance."),
+            ("displacement_sd_mm", "displacement_sd_metres", 1e-3, "Its standard deviation."),
+            ("turn_deg", "rotation_degrees", 1.0, "Rotation."),
+            ("unchanged_share", "unchanged_ratio", 1.0, "Share of the scene that is unchanged."),
+            ("moved", "moved", 1.0, "1 where the camera moved against the others."),
+        ):
+            values = [(f'{{camera="{_escaped(c)}"}}', unit * float(own[key])) for c, own in cameras.items()]
+            lines += _metric(f"rgbd_calib_camera_{name}", "gauge", text, values)
+    return "\n".join(lines) + "\n"
+
+
+def _metric(name: str, kind: str, text: str, values: list[tuple[str, float]]) -> list[str]:
+    if not values:
+        return []
+    return [
+        f"# HELP {name} {text}",
+        f"# TYPE {name} {kind}",
+        *(f"{name}{label} {value:.15g}" for label, value in values),
+    ]
+
+
+def _escaped(label: str) -> str:
+    return label.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")

@@ -1,0 +1,126 @@
+"""Planes of small patches of a depth image: what two depth images of the same scene are compared by.
+
+A patch is the square window of `WINDOW_PX` about a pixel. The mean m and the covariance S of its points come from box sums, so
+that a patch at any pixel costs the same; the normal is the eigenvector of the smallest eigenvalue of S. A patch counts where
+the window is nearly full, its points are within the noise of a plane, and the plane is not seen at a grazing angle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.types import RigCamera
+
+WINDOW_PX = 9
+"""About the matching window of structured light: smaller patches share their noise."""
+STEP_PX = 8
+_FULL = 0.8
+"""Share of the window that must be measured."""
+_GRAZING_COS = 0.25
+"""75 degrees; the noise of depth grows beyond, and pixels mix."""
+_FLAT_SIGMAS = 2.5
+"""RMS about the plane allowed, in deviations of a single reading."""
+_ROUNDING_M = 0.5e-3
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Planes at n pixels of a depth image, in the colour camera's frame."""
+
+    points_m: FloatArray
+    """(n, 3) means of the windows."""
+    normals: FloatArray
+    """(n, 3) towards the camera."""
+    good: np.ndarray
+    """(n,) bool: measured, flat, not at a grazing angle."""
+
+    def only(self, which: np.ndarray) -> Patches:
+        return Patches(self.points_m[which], self.normals[which], self.good[which])
+
+
+class Surface:
+    """The surfaces that a depth image (h, w), metres as measured, shows, in the colour camera's frame, corrected by the rig."""
+
+    def __init__(self, camera: RigCamera, depth_m: FloatArray) -> None:
+        self._camera = camera.depth_sensor.camera
+        self._T_depth_color = se3.inverse(self._camera.T_color_depth)
+        self.points_m = camera.depth_image.points(depth_m)
+        """(h, w, 3)."""
+        seen = np.asarray(np.isfinite(self.points_m).all(axis=-1))
+        p = np.where(seen[..., None], self.points_m, 0.0)
+        # about a point in the middle of the scene: the sums of squares keep their digits
+        self._about_m = p[seen].mean(axis=0) if seen.any() else np.zeros(3)
+        p = np.where(seen[..., None], p - self._about_m, 0.0)
+        products = [p[..., i] * p[..., j] for i, j in _PAIRS]
+        layers = np.stack([seen.astype(float), *np.moveaxis(p, -1, 0), *products], axis=-1)
+        self._sums = np.concatenate(
+            [
+                cv2.boxFilter(layers[..., k : k + 2], -1, (WINDOW_PX, WINDOW_PX), normalize=False)
+                for k in range(0, layers.shape[-1], 2)
+            ],
+            axis=-1,
+        )
+
+    @cached_property
+    def k_per_m(self) -> float:
+        """The deviation of a pixel is k z^2, z in metres: by the patches, most of which are planes."""
+        planes, rms = self._fit(self.grid())
+        z = planes.points_m[:, 2]
+        k = rms[planes.good] / z[planes.good] ** 2
+        return max(float(np.median(k)), _LEAST_K_PER_M) if len(k) else _USUAL_K_PER_M
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.points_m.shape[0], self.points_m.shape[1]
+
+    def grid(self) -> np.ndarray:
+        """Pixels (n, 2), int, u and v, of the patches that fill the image."""
+        h, w = self.shape
+        u, v = np.meshgrid(np.arange(STEP_PX // 2, w, STEP_PX), np.arange(STEP_PX // 2, h, STEP_PX))
+        return np.stack([u.ravel(), v.ravel()], axis=1)
+
+    def patches(self, pixels: np.ndarray) -> Patches:
+        """The planes at pixels (n, 2), int, inside the image."""
+        planes, rms = self._fit(pixels)
+        noise = _FLAT_SIGMAS * (self.k_per_m * planes.points_m[:, 2] ** 2 + _ROUNDING_M)
+        return replace(planes, good=planes.good & (rms < noise))
+
+    def _fit(self, pixels: np.ndarray) -> tuple[Patches, FloatArray]:
+        """The planes, flat or not, and the RMS (n,) of their points about them, metres."""
+        sums = self._sums[pixels[:, 1], pixels[:, 0]]
+        count = np.maximum(sums[:, 0], 1.0)
+        mean = sums[:, 1:4] / count[:, None]
+        S = np.empty((len(pixels), 3, 3))
+        for k, (i, j) in enumerate(_PAIRS):
+            S[:, i, j] = S[:, j, i] = sums[:, 4 + k] / count - mean[:, i] * mean[:, j]
+        values, vectors = np.linalg.eigh(S)
+        normals, points = vectors[..., 0], mean + self._about_m
+        length = np.linalg.norm(points, axis=1)
+        cos = -np.einsum("ij,ij->i", normals, points) / np.maximum(length, 1e-9)
+        normals = normals * np.where(cos < 0, -1.0, 1.0)[:, None]
+        rms = np.sqrt(np.maximum(values[:, 0], 0))
+        good = (sums[:, 0] >= _FULL * WINDOW_PX**2) & (np.abs(cos) > _GRAZING_COS)
+        return Patches(points, normals, good), rms
+
+    def pixels_of(self, points_m: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels (n, 2), int, of the depth image where points (n, 3) in the colour camera's frame are seen, and which
+        are inside (n,)."""
+        h, w = self.shape
+        p = se3.transform(self._T_depth_color, points_m)
+        ahead = p[:, 2] > 0.05
+        with np.errstate(all="ignore"):
+            pixels = self._camera.intrinsics.project(np.where(ahead[:, None], p, [0.0, 0.0, 1.0]))
+        inside = ahead & np.all((pixels > -0.5) & (pixels < np.array([w, h]) - 0.5), axis=1)
+        return np.where(inside[:, None], np.rint(np.where(inside[:, None], pixels, 0)), 0).astype(int), inside
+
+
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+_USUAL_K_PER_M = 1.6e-3
+"""Of structured light, one image (Khoshelham, Oude Elberink 2012): where there are no patches to tell by."""
+_LEAST_K_PER_M = 1e-5
