@@ -23,7 +23,7 @@ from rgbd_calib.io.schema_parts import (
     IntrinsicsModel,
     field_data,
 )
-from rgbd_calib.io.schemas import RigModel
+from rgbd_calib.io.schemas import ClockModel, RigModel
 from rgbd_calib.io.tables import short
 from rgbd_calib.types import Board, DepthBias, Rig, RigCamera
 
@@ -36,6 +36,7 @@ _KNOWN = (
     "depth_bias",
     "depth_field",
     "depth",
+    "clock",
 )
 
 
@@ -105,6 +106,7 @@ def read_rig(path: Path) -> Rig:
             {k: v for k, v in camera.model_dump(exclude_none=True).items() if k not in _KNOWN},
             camera.depth_field.value() if camera.depth_field else None,
             camera.depth.value() if camera.depth else None,
+            camera.clock.value() if camera.clock else None,
         )
     reference = next(iter(cameras)) if model.reference is None else model.reference
     if reference not in cameras:
@@ -163,6 +165,8 @@ def camera_entry(camera: RigCamera) -> dict[str, Any]:
         entry["depth_field"] = field_data(camera.depth_field)
     if camera.depth_camera is not None:
         entry["depth"] = DepthCameraModel.of(camera.depth_camera).model_dump(exclude_none=True)
+    if camera.clock is not None:
+        entry["clock"] = ClockModel.of(camera.clock).model_dump()
     return entry | camera.statistics
 
 
