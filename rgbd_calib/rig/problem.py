@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.geometry.linear import BoolArray, IntArray, NormalEquations, Pattern, Rows, assemble
+from rgbd_calib.geometry.linear import BoolArray, Covariance, IntArray, NormalEquations, Pattern, Rows, assemble
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig import terms
 from rgbd_calib.rig.blocks import (
@@ -90,6 +90,8 @@ class Problem:
     local: tuple[LocalField | None, ...] = ()
     """By camera, the pattern of its depth that is known between the rounds; empty: none."""
     unit_size: int = 6
+    reads_faces: ClassVar[bool] = True
+    """Each frame may be read from either side (:mod:`.faces`)."""
 
     @classmethod
     def of(cls, setup: Setup, blocks: Sequence[type[Block]] = ESTIMATED) -> Problem:
@@ -154,13 +156,30 @@ class Problem:
             information[np.ix_(index, index)] += component.structure / self.weights.sizes[component.name] ** 2
         return Prior(mean, information, free, assumed)
 
+    @property
+    def n_board_units(self) -> int:
+        """Units of the boards, which come before those of the walls: a pose for each frame."""
+        return self.setup.obs.n_frames
+
+    def units_of(self, state: State, look: Look) -> IntArray:
+        """(n,), the unit that each view of rows touches."""
+        return look.sight.obs.frame
+
+    def tuned(self, state: State, covariance: Covariance) -> tuple[Problem, float]:
+        """With what else the residuals tell besides the weights, and by how much it changed, as for the weights."""
+        return self, 0.0
+
+    def instants(self) -> IntArray:
+        """(V,), equal for views that tie their cameras to each other."""
+        return self.obs.frame
+
     @cached_property
     def unit_information(self) -> FloatArray:
         """(F + W, D), diagonal: what is known of the units before; of walls alone."""
         own, w = self.setup, self.weights
-        out = np.zeros((own.obs.n_frames + own.walls.n, self.unit_size))
-        out[own.obs.n_frames :, 0] = w.robust_distance * (w.distance_factor * own.walls.sd_m) ** -2.0
-        out[own.obs.n_frames :, 1:3] = own.params.wall_tilt_sd_rad**-2.0
+        out = np.zeros((self.n_board_units + own.walls.n, self.unit_size))
+        out[self.n_board_units :, 0] = w.robust_distance * (w.distance_factor * own.walls.sd_m) ** -2.0
+        out[self.n_board_units :, 1:3] = own.params.wall_tilt_sd_rad**-2.0
         return out
 
     def start(self, boards: Boards) -> State:
@@ -180,7 +199,7 @@ class Problem:
     def unit_vector(self, state: State) -> FloatArray:
         """(F + W, D), of walls alone, zeros for the boards, to compare with what is known of them: zero."""
         out = np.zeros(self.unit_information.shape)
-        out[self.setup.obs.n_frames :, :3] = state.walls.values
+        out[self.n_board_units :, :3] = state.walls.values
         return out
 
     # ------------------------------------------------------------------------------------------------ prediction
@@ -230,8 +249,10 @@ class Problem:
         for block in self.blocks:
             if isinstance(block, Registration) and np.any(state.values[block.name][c]):
                 shift += block.by_parameters(c, obs.pixels_px, obs.depth_m) @ state.values[block.name][c]
-        look = terms.look_at_depth(sight, self.setup.priors[c].intrinsics, shift, corrected, slope)
+        look = self.depth_rows(sight, self.setup.priors[c].intrinsics, shift, corrected, slope)
         return replace(look, values=self._of_depth(state, c))
+
+    depth_rows = staticmethod(terms.look_at_depth)
 
     def looks_at_walls(self, state: State, cameras: Sequence[int]) -> Iterator[tuple[IntArray, Look, FloatArray]]:
         """Rows of the walls of each camera, their numbers, and the derivatives (n, N, 1, 3) by the walls' own unknowns."""
@@ -304,11 +325,11 @@ class Problem:
         for some, look in self.looks(state, views):
             w = scales[OF_BOARDS.index(look.kind)][some]
             by_unit = state.boards.derivative(look)
-            yield some, look, self._rows(look, look.sight.obs.frame, by_unit, w)
+            yield some, look, self._rows(look, self.units_of(state, look), by_unit, w)
 
     def wall_rows(self, state: State, cameras: Sequence[int]) -> Iterator[tuple[IntArray, Look, Rows]]:
         """Weighted rows of the walls of some cameras."""
-        scales, F = self.weights.wall_scales(self.setup.walls), self.setup.obs.n_frames
+        scales, F = self.weights.wall_scales(self.setup.walls), self.n_board_units
         for some, look, by_wall in self.looks_at_walls(state, cameras):
             by_unit = np.zeros((*look.left.shape, self.unit_size))
             by_unit[..., :3] = by_wall

@@ -86,9 +86,9 @@ def expose(clock: CameraClock, params: WaveParams, rng: np.random.Generator) -> 
     """All frames of one camera in the recording's time."""
     t = clock.first_s + clock.period_s * np.arange(int((params.seconds - clock.first_s) / clock.period_s))
     stamps = t[0] - clock.offset_s + (t - t[0]) / (1 + 1e-6 * clock.drift_ppm)
-    stamps = stamps + rng.normal(0, 1, len(t)) * params.jitter_s
+    stamps = stamps + params.jitter_s * rng.standard_normal(len(t))
     kept = rng.random(len(t)) >= params.lost
     kept[0] = True  # the drift counts from the first stamp
     numbers = np.flatnonzero(kept)
     stamps_us = np.asarray(np.round(1e6 * stamps[kept], 1), float)
-    return Exposures(tuple(f"{k:06d}" for k in numbers), t[kept], stamps_us)
+    return Exposures(tuple(f"{k:06d}" for k in numbers), np.asarray(t[kept], float), stamps_us)
