@@ -33,7 +33,7 @@ from rgbd_calib.rig.blocks import (
 from rgbd_calib.rig.blocks.board_shape import nominal_corners_m
 from rgbd_calib.rig.observations import Observations
 from rgbd_calib.rig.setup import Setup
-from rgbd_calib.rig.sight import Look, Sight
+from rgbd_calib.rig.sight import Look, Sight, sight_of
 from rgbd_calib.rig.weights import Weights
 
 if TYPE_CHECKING:
@@ -183,8 +183,7 @@ class Problem:
         return out
 
     def start(self, boards: Boards) -> State:
-        values = {b.name: b.start() for b in self.blocks}
-        return State(values, boards, WallPlanes(np.zeros((self.setup.walls.n, 3))))
+        return State({b.name: b.start() for b in self.blocks}, boards, WallPlanes(np.zeros((self.setup.walls.n, 3))))
 
     def moved(self, state: State, step: FloatArray, unit_step: FloatArray) -> State:
         """The state after a step of the globals (P,) and of the units (F + W, D)."""
@@ -225,7 +224,7 @@ class Problem:
             for first in range(0, len(mine), VIEWS_AT_ONCE):
                 some = mine[first : first + VIEWS_AT_ONCE]
                 thickness_m = self.setup.board.thickness_m
-                yield some, _sight(c, obs.only(some), state.boards, corners, thickness_m, T_color_world[c])
+                yield some, sight_of(c, obs.only(some), state.boards, corners, thickness_m, T_color_world[c])
 
     def looks(self, state: State, views: IntArray | None = None) -> Iterator[tuple[IntArray, Look]]:
         """Rows of pixels and depth of the views of :meth:`sights`."""
@@ -399,23 +398,3 @@ class Problem:
     def using(self, obs: Observations) -> Problem:
         """The same with other masks."""
         return replace(self, obs=obs)
-
-
-def _sight(
-    camera: int,
-    obs: Observations,
-    boards: Boards,
-    corners_m: FloatArray,
-    thickness_m: float,
-    T_color_world: FloatArray,
-) -> Sight:
-    X = corners_m[obs.back[:, None], obs.corner]
-    T, freed = boards.T_parent_board[obs.frame], boards.freed[obs.frame]
-    if freed.any():
-        X = np.where(freed[:, None, None], obs.back[:, None, None] * np.array([0, 0, thickness_m]), X)
-    p_parent = X @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
-    if freed.any():  # each from its own corner of the front
-        p_parent[freed] += boards.corners_m[obs.frame[freed, None], obs.corner[freed]] - T[freed, None, :3, 3]
-    T_color_parent = np.where(obs.shared[:, None, None], T_color_world, np.eye(4))
-    p = p_parent @ T_color_parent[:, :3, :3].transpose(0, 2, 1) + T_color_parent[:, None, :3, 3]
-    return Sight(camera, obs, T[:, :3, :3], freed, p_parent, T_color_parent[:, :3, :3], p)

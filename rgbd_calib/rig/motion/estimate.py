@@ -11,7 +11,7 @@ from rgbd_calib.geometry import spline
 from rgbd_calib.geometry.banded import BAND
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig import bundle
-from rgbd_calib.rig.blocks import ESTIMATED, Block, WallPlanes
+from rgbd_calib.rig.blocks import ESTIMATED, Block
 from rgbd_calib.rig.motion.boards import CarriedBoards
 from rgbd_calib.rig.motion.clocks import OF_TIME
 from rgbd_calib.rig.motion.problem import MotionProblem
@@ -93,10 +93,9 @@ def problem_of(
             )
     problem = replace(MotionProblem.of(setup, blocks), unit_size=BAND)
     assert isinstance(problem, MotionProblem)
-    values = {b.name: b.start() for b in problem.blocks}
     boards = CarriedBoards.of(path, *times, T_standing)
     frames = tuple(names[k] for k in order)
-    return problem, State(values, boards, WallPlanes(np.zeros((setup.walls.n, 3)))), frames, views
+    return problem, problem.start(boards), frames, views
 
 
 def estimate(
