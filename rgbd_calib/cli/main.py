@@ -32,6 +32,7 @@ COMMANDS = (
     "refine",
     "evaluate",
     "verify",
+    "sync",
     "report",
     "view",
     "fuse",

@@ -25,7 +25,7 @@ from rgbd_calib.io.schema_parts import (
 )
 from rgbd_calib.io.schemas import ClockModel, RigModel
 from rgbd_calib.io.tables import short
-from rgbd_calib.types import Board, DepthBias, Rig, RigCamera
+from rgbd_calib.types import Board, Clock, DepthBias, Rig, RigCamera
 
 _KNOWN = (
     "intrinsics",
@@ -148,6 +148,31 @@ def read_boards(path: Path) -> dict[str, FloatArray]:
     """T_world_board (4, 4) by frame from a simulation's truth.yaml; empty where there are none."""
     model = parse(RigModel, load_yaml(path), path)
     return {frame: np.array(T) for frame, T in (model.boards or {}).items()}
+
+
+def write_timing(
+    path: Path, reference: str, clocks: Mapping[str, Clock], quality: Mapping[str, Any], provenance: Mapping[str, Any]
+) -> None:
+    """Write timing.yaml: a rig file with clocks alone."""
+    head = {"format": "rgbd-calib/rig", "version": 1, "reference": reference}
+    cameras = {name: {"clock": ClockModel.of(clock).model_dump()} for name, clock in clocks.items()}
+    write_text(path, dump_yaml(head | {"cameras": cameras, "quality": dict(quality), "provenance": dict(provenance)}))
+
+
+def read_timing(path: Path) -> tuple[str, dict[str, Clock]]:
+    """The reference, and clocks by camera, from timing.yaml or any rig file with clocks.
+
+    Raises
+    ------
+    ConfigError
+        No camera has one, or the reference has none.
+    """
+    model = parse(RigModel, load_yaml(path), path)
+    found = {name: own.clock.value() for name, own in model.cameras.items() if own.clock}
+    reference = next(iter(found), "") if model.reference is None else model.reference
+    if reference not in found:
+        raise ConfigError(f"{path}: 'clock' of the cameras expected, none found. Make it with `rgbd-calib sync`")
+    return reference, found
 
 
 def camera_entry(camera: RigCamera) -> dict[str, Any]:

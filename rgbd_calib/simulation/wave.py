@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.io.correspondences import write_corners
+from rgbd_calib.io.recording import CameraInfo, write_dataset
+from rgbd_calib.io.tables import write_table
 from rgbd_calib.simulation.clocks import CameraClock, Exposures, WaveParams, draw_clocks, expose
 from rgbd_calib.simulation.motion import HandMotion, MotionKind, hand_motion
 from rgbd_calib.simulation.poses import looks_at_back
@@ -96,6 +100,22 @@ def _film(
         n = len(found)
         out.append(BoardView(name, taken.stems[seen[k]], np.arange(n), found, z_m, np.full(n, 30)))
     return out
+
+
+def write_wave(session: WaveSession, folder: Path) -> None:
+    """A recording wave/ with empty image files, and its corners beside it as wave.csv."""
+    path = folder / "wave"
+    with_depth = {v.camera for v in session.views if np.isfinite(v.depth_m).any()}
+    for camera, stamps in session.stamps_us.items():
+        for kind in ("color", "depth") if camera in with_depth else ("color",):
+            (path / camera / kind).mkdir(parents=True)
+            for stem in stamps:
+                (path / camera / kind / f"{stem}.png").touch()
+        rows = ((stem, *own) for stem, own in stamps.items())
+        write_table(path / camera / "timestamps.csv", ("frame", "color_us", "depth_us"), rows)
+    lenses = {c: own.intrinsics for c, own in session.truth.cameras.items()}
+    write_dataset(path, {c: CameraInfo(K.width, K.height) for c, K in lenses.items()}, session.board, synchronous=False)
+    write_corners(folder / "wave.csv", session.views)
 
 
 _ENDS = np.array([0.0, -0.5, 0.5])
