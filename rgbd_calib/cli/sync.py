@@ -22,6 +22,7 @@ from rgbd_calib.cli.options import (
 
 if TYPE_CHECKING:
     from rgbd_calib.pipeline.workers import Workers
+    from rgbd_calib.types import Clock
 
 
 @click.command()
@@ -105,21 +106,17 @@ def command(
     write_timing(output, result.reference, result.clocks, quality, provenance)
     for remark in result.remarks:
         say(f"Warning: {remark}")
-    for line in clock_lines(result.clocks, result.reference):
-        show(line)
+    for name, clock in result.clocks.items():
+        show(clock_line(name, clock, result.reference))
     say(f"Views used: {', '.join(f'{c} {n}' for c, n in result.views.items())}; {len(result.left_out)} left out")
     say(f"Wrote {output}")
 
 
-def clock_lines(clocks, reference):  # type: ignore[no-untyped-def]
-    """A line for each camera."""
-    lines = []
-    for name, own in clocks.items():
-        offset = f"offset {own.offset_s:+.6f} s ± {1e3 * own.offset_sd_s:.3f} ms, drift {own.drift_ppm:+.1f} ± {own.drift_sd_ppm:.1f} ppm"
-        text = f"{name}: " + ("reference" if name == reference else offset)
-        if own.depth_delay_sd_s > 0:
-            text += f", depth {1e3 * own.depth_delay_s:+.2f} ± {1e3 * own.depth_delay_sd_s:.2f} ms after colour"
-        if own.readout_s:
-            text += f", readout {1e3 * own.readout_s:.1f} ms"
-        lines.append(text)
-    return lines
+def clock_line(name: str, clock: Clock, reference: str) -> str:
+    """A camera's clock in words."""
+    offset = f"offset {clock.offset_s:+.6f} s ± {1e3 * clock.offset_sd_s:.3f} ms"
+    drift = f"drift {clock.drift_ppm:+.1f} ± {clock.drift_sd_ppm:.1f} ppm"
+    text = f"{name}: clock: " + ("reference" if name == reference else f"{offset}, {drift}")
+    if clock.depth_delay_sd_s > 0:
+        text += f", depth {1e3 * clock.depth_delay_s:+.2f} ± {1e3 * clock.depth_delay_sd_s:.2f} ms after colour"
+    return text + (f", readout {1e3 * clock.readout_s:.1f} ms" if clock.readout_s else "")
