@@ -18,6 +18,12 @@ from rgbd_calib.errors import ConfigError
 @board_options
 @click.option("--intrinsic", is_flag=True, help="One camera after the other, the board close in front of it.")
 @click.option("--depth-bias", is_flag=True, help="One camera after the other, a wall at known distances.")
+@click.option(
+    "--wave",
+    type=click.FloatRange(1.0, 3600.0),
+    metavar="SECONDS",
+    help="Record every frame of every camera for so long, while the board is carried; `calibrate` estimates the clocks.",
+)
 @click.option("--distances", metavar="M,M,...", help="With --depth-bias: the distances to go through, metres.")
 @click.option("--on-still", is_flag=True, help="Take a shot whenever the board is held still in a new pose.")
 @click.option("--interval", type=click.FloatRange(0), help="Seconds between shots.  [default: 0.5]")
@@ -67,6 +73,7 @@ def command(
     board: Callable[[], object],
     intrinsic: bool,
     depth_bias: bool,
+    wave: float | None,
     distances: str | None,
     on_still: bool,
     interval: float | None,
@@ -92,6 +99,7 @@ def command(
       rgbd-calib capture rig1/extrinsic --board 9x6 --square 0.06 --on-still --until-enough --preview
       rgbd-calib capture rig1/intrinsic --board 9x6 --square 0.06 --intrinsic
       rgbd-calib capture rig1/depth_bias --depth-bias --distances 0.8,1.2,1.6,2.0,2.5,3.0
+      rgbd-calib capture rig1/wave --board 9x6 --square 0.06 --wave 30 --preview
 
     Ctrl-C stops cleanly, with exit status 0 and all that was recorded. The status is 1 where it could not go
     on (disk full, no frames from any camera) or recorded nothing. OUT/capture.yaml says what happened.
@@ -99,6 +107,15 @@ def command(
     known_distances = _parse_distances(distances)
     if intrinsic and depth_bias:
         raise ConfigError("--intrinsic and --depth-bias: both given, one recording is for one of them. Run it twice")
+    if wave is not None and (intrinsic or depth_bias or on_still or until_enough or interval is not None or count):
+        raise ConfigError(
+            "--wave records every frame while the board is carried; it goes without --intrinsic, --depth-bias, --on-still, "
+            "--until-enough, --interval and --count. Leave them out"
+        )
+    if wave is not None and (depth_frames > 1 or alternate_emitters):
+        raise ConfigError(
+            "--wave: the board moves, so that --depth-frames and --alternate-emitters do not apply. Leave them out"
+        )
     if distances and not depth_bias:
         raise ConfigError("--distances belongs to --depth-bias. Add that, or leave it out")
     named_board = board()
@@ -123,13 +140,14 @@ def command(
     )
     params = CaptureParams(
         out,
-        "intrinsic" if intrinsic else "depth-bias" if depth_bias else "rig",
+        "intrinsic" if intrinsic else "depth-bias" if depth_bias else "wave" if wave is not None else "rig",
         mode,
         DepthParams(depth_frames, alternate_emitters),
         CoverageParams(judge_cameras=not pairs_only),
         named_board,  # type: ignore[arg-type]
         parse_devices(devices),
         known_distances,
+        wave or 0.0,
         drivers,
         redist,
         append,
