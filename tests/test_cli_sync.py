@@ -139,3 +139,29 @@ def test_a_counter_that_wraps_around_is_continued(wave, tmp_path):
     assert "wrap around" in remark
     steps = np.diff([s for s, _ in stamps.values()])
     assert steps.min() > 0.04 and steps.max() < 0.5
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--method", "biobjective"], "method bundle with a rigid board expected"),
+        (["--max-views", "5"], "a selection of 5"),
+    ],
+)
+def test_calibrate_refuses_what_needs_frames_of_one_instant(run, wave, tmp_path, options, said):
+    outcome = run(
+        "calibrate", wave[0] / "wave", "--corners", wave[0] / "wave.csv", "-o", tmp_path / "rig.yaml", *options
+    )
+    assert outcome.status == 2 and said in outcome.stderr
+    assert not (tmp_path / "rig.yaml").exists()
+
+
+@pytest.mark.slow
+def test_calibrate_finds_rig_and_clocks_of_a_carried_board(run, wave, tmp_path):
+    folder, session = wave
+    path = tmp_path / "rig.yaml"
+    outcome = run("calibrate", folder / "wave", "--corners", folder / "wave.csv", "-o", path)
+    assert outcome.status == 0 and "C2: clock: offset" in outcome.stdout, outcome
+    _, clocks = read_timing(path)
+    for c, truth in session.clocks.items():
+        assert abs(clocks[c].offset_s - truth.offset_s) <= 4 * clocks[c].offset_sd_s < 0.002
