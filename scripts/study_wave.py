@@ -1,4 +1,4 @@
-"""What a carried board gives: clocks and alignment over seeds, against still frames and against clocks that are ignored."""
+"""What a carried board gives: clocks and alignment over seeds, against still frames."""
 
 from __future__ import annotations
 
@@ -12,18 +12,16 @@ from typing import Any
 import numpy as np
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.io.linked_recording import write_linked
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.pipeline.calibrate import calibrate
 from rgbd_calib.pipeline.calibrate_carried import calibrate_carried
 from rgbd_calib.pipeline.config import load_config
 from rgbd_calib.pipeline.detection import Detections
 from rgbd_calib.pipeline.evaluate import against_truth
-from rgbd_calib.pipeline.sync import nearest_sets
 from rgbd_calib.simulation.clocks import WaveParams
 from rgbd_calib.simulation.realism import IDEAL, Realism
 from rgbd_calib.simulation.session import draw_scene, film, write_session
-from rgbd_calib.simulation.wave import WaveSession, film_wave, write_wave
+from rgbd_calib.simulation.wave import film_wave, write_wave
 from rgbd_calib.types import Rig
 
 
@@ -39,22 +37,6 @@ def pose_nees(rig: Rig, truth: Rig) -> float:
             left = se3.difference(own.T_world_color, truth.cameras[name].T_world_color)
             out.append(float(left @ np.linalg.solve(own.covariance, left)) / 6)
     return float(np.mean(out))
-
-
-def ignored(session: WaveSession, folder: Path) -> Rig:
-    """The nearest frames taken for sets of one instant."""
-    recording = open_recording(folder / "wave")
-    sets = nearest_sets(recording, {c: own.truth for c, own in session.clocks.items()}, "C1")
-    write_linked(folder / "sets", recording, [(own.t_s, own.frames) for own in sets], False)
-    by_key = {(v.camera, v.frame): v for v in session.views}
-    views = [
-        replace(by_key[c, frame], frame=f"{k:06d}")
-        for k, own in enumerate(sets)
-        for c, (frame, _, _) in own.frames.items()
-        if (c, frame) in by_key
-    ]
-    config = load_config(None)
-    return calibrate(open_recording(folder / "sets"), config, detections=Detections(tuple(views), ())).rig
 
 
 def study(seed: int, cameras: int, args: argparse.Namespace) -> dict[str, Any]:
@@ -93,7 +75,6 @@ def study(seed: int, cameras: int, args: argparse.Namespace) -> dict[str, Any]:
             out.setdefault("delay_sd_ms", []).append(1e3 * clock.depth_delay_sd_s)
             out.setdefault("readout_ms", []).append(1e3 * (clock.readout_s - truth.readout_s))
         if args.compare:
-            out["ignored_mm"] = alignment_mm(ignored(session, folder), session.truth)
             still = film(scene, rng)
             write_session(replace(still, close=None), folder)
             begin = time.process_time()
@@ -118,8 +99,7 @@ def told(own: dict[str, Any]) -> str:
     lines.append(f"  error of readout, ms: {', '.join(f'{e:+.2f}' for e in own['readout_ms'])}")
     if "still_mm" in own:
         lines.append(
-            f"  still frames: {own['still_mm']:.2f} mm ({own['still_views']} views, {own['still_cpu_s']:.0f} s CPU); clocks "
-            f"ignored: {own['ignored_mm']:.2f} mm"
+            f"  still frames: {own['still_mm']:.2f} mm ({own['still_views']} views, {own['still_cpu_s']:.0f} s CPU)"
         )
     return "\n".join(lines)
 
@@ -135,7 +115,7 @@ def main() -> None:
     parser.add_argument("--jitter", type=float, default=0.0)
     parser.add_argument("--still-frames", type=int, default=30)
     parser.add_argument("--ideal", action="store_true", help="no print, field and registration errors")
-    parser.add_argument("--compare", action="store_true", help="still frames, and clocks ignored, too")
+    parser.add_argument("--compare", action="store_true", help="still frames too")
     args = parser.parse_args()
     for cameras in args.cameras:
         for seed in range(*args.seeds):
