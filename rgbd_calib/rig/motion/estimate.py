@@ -23,8 +23,8 @@ from rgbd_calib.rig.solution import Solution
 from rgbd_calib.types import Board, Clock, PlacedView
 
 KNOT_S = 0.05
-"""Between knots. Hands shake at up to 6 Hz, of which a spline of 50 ms leaves 0.02 mm, one of 100 ms ten times as much; more
-knots cost little, since the motion's prior fits them to the data."""
+"""Between knots: the period of the fastest tremor that is simulated, 6 Hz, has three. More knots cost little, since the motion's
+prior fits them to the data."""
 
 
 @dataclass(frozen=True)
