@@ -158,6 +158,24 @@ class PlacedView:
 
 
 @dataclass(frozen=True)
+class Clock:
+    """How a camera's time stamps relate to the reference's clock: t = stamp + offset_s + 1e-6 drift_ppm (stamp - first stamp)
+    is the instant of the middle row of its colour image; zeros for the reference, but for what is between its own images."""
+
+    offset_s: float = 0.0
+    drift_ppm: float = 0.0
+    depth_delay_s: float = 0.0
+    """Instant of the depth less that of its colour image, beyond what the stamps say."""
+    readout_s: float = 0.0
+    """Of a rolling shutter, from the first row to the last."""
+    jitter_s: float = 0.0
+    """Standard deviation of the stamps."""
+    offset_sd_s: float = 0.0
+    drift_sd_ppm: float = 0.0
+    depth_delay_sd_s: float = 0.0
+
+
+@dataclass(frozen=True)
 class RigCamera:
     """A calibrated camera of the rig."""
 
@@ -174,6 +192,8 @@ class RigCamera:
     """What its depth errs by over the image."""
     depth_camera: DepthCamera | None = None
     """None: depth has the colour camera's geometry."""
+    clock: Clock | None = None
+    """None: its stamps are not related to the others'."""
 
     @property
     def depth_sensor(self) -> DepthSensor:

@@ -354,6 +354,22 @@ def test_intrinsic_leads_through_the_cameras(rig):
     assert ended.stderr.index("now C1") < ended.stderr.index("now C2")
 
 
+def test_wave_records_each_camera_under_its_own_frames(rig):
+    out = rig.folder / "out"
+    ended = rig.run("capture", out, *BOARD, "--wave", 2, "--settle", 0.3)
+    assert ended.status == 0, ended.stderr
+    recording = open_recording(out)
+    assert not recording.synchronous
+    frames = {c: set(own) for c, own in recording.color_files.items()}
+    assert min(len(own) for own in frames.values()) >= 5 and not frames["C1"] & frames["C2"]
+    for c, own in frames.items():
+        times = [t for t, _ in recording.timestamps_us(c).values()]
+        assert set(recording.timestamps_us(c)) == own == set(recording.depth_files[c])
+        assert all(np.diff(times) > 0)
+    ended = rig.run("capture", out, "--append", "--count", 1, "--settle", 0.3)
+    assert ended.status == 2 and "two recordings" in ended.stderr
+
+
 def test_until_enough(rig):
     rig.settings(devices=3, hold=45)
     out = rig.folder / "out"
@@ -370,6 +386,7 @@ def test_until_enough(rig):
     [
         (["--on-still"], "--on-still: no board given"),
         (["--intrinsic", "--depth-bias"], "both given"),
+        (["--wave", "5", "--on-still", "--board", "9x6", "--square", "0.06"], "--wave records every frame"),
         (["--board", "9by6", "--square", "0.06"], "--board 9by6"),
         (["--board", "9x6"], "--square None"),
         (["--append", "--on-still"], "no board is named there"),

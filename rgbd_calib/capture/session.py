@@ -24,6 +24,7 @@ from rgbd_calib.capture.shots import DepthParams, Photographer
 from rgbd_calib.capture.signals import stopping_on_signals
 from rgbd_calib.capture.studio import Stopped, Studio, Tally
 from rgbd_calib.capture.terminal import LiveGuidance, PlainGuidance, guidance
+from rgbd_calib.capture.wave import record_wave
 from rgbd_calib.errors import CalibrationError, ConfigError, RgbdCalibError
 from rgbd_calib.io.capture_log import CaptureLog, Status
 from rgbd_calib.io.growing_recording import GrowingRecording
@@ -44,7 +45,7 @@ class CaptureParams:
     """All that can be asked of a capture."""
 
     out: Path
-    kind: Literal["rig", "intrinsic", "depth-bias"] = "rig"
+    kind: Literal["rig", "intrinsic", "depth-bias", "wave"] = "rig"
     mode: ModeParams = field(default_factory=ModeParams)
     depth: DepthParams = field(default_factory=DepthParams)
     coverage: CoverageParams = field(default_factory=CoverageParams)
@@ -52,6 +53,8 @@ class CaptureParams:
     devices: dict[str, str] = field(default_factory=dict)
     """{camera id: serial number, USB path or uri}; empty: all that are attached."""
     distances_m: tuple[float, ...] = ()
+    wave_s: float = 0.0
+    """Seconds of a carried board, of kind `wave`."""
     drivers: tuple[str, ...] = ()
     """See :func:`load_drivers`; empty: all that are installed."""
     redist: Path | None = None
@@ -90,7 +93,11 @@ def capture(params: CaptureParams, console: Console, ask: Ask) -> CaptureResult:
     """
     cv2.setNumThreads(1)  # the cameras' readers need the other cores
     recording = GrowingRecording(
-        params.out, params.board, registered=not params.allow_unregistered, append=params.append
+        params.out,
+        params.board,
+        registered=not params.allow_unregistered,
+        append=params.append,
+        synchronous=params.kind != "wave",
     )
     if recording.board is None and (params.mode.on_still or params.mode.until_enough):
         raise ConfigError(
@@ -193,6 +200,8 @@ class _Session:
                     record_intrinsics(studio, params.mode, params.coverage)
                 elif params.kind == "depth-bias":
                     record_depth_bias(studio, params.mode, params.distances_m, ask)
+                elif params.kind == "wave":
+                    record_wave(studio, params.wave_s)
                 else:
                     record_rig(studio, params.mode)
             finally:

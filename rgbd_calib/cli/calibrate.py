@@ -25,6 +25,7 @@ from rgbd_calib.errors import ConfigError
 
 if TYPE_CHECKING:
     from rgbd_calib.pipeline.workers import Workers
+    from rgbd_calib.types import Rig
 
 
 @click.command()
@@ -120,6 +121,9 @@ def command(
     stderr, in the rig file (quality.self_check) and in the report. The rig is written nevertheless, to be looked at;
     --strict then exits with 1.
 
+    A recording with `synchronous: false` in dataset.yaml is of cameras that run free, before which the board is carried: the
+    clock of each camera is estimated with the rig, from the frames' timestamps, and is in the rig file (clock).
+
     With --update nothing else is calibrated: --only CAMERA poses one camera against the others of the rig, by views that it
     shares with them, with the lens and depth bias that the rig has (or --intrinsics, --depth-bias); a camera that the rig
     lacks is calibrated whole and added. All other entries stay as they are, byte for byte. --snapshot OLD corrects the cameras that moved since that snapshot of the empty
@@ -171,6 +175,8 @@ def command(
     from rgbd_calib.io.correspondences import write_correspondences
     from rgbd_calib.io.residuals import write_result
     from rgbd_calib.pipeline.calibrate import calibrate, reference_of
+    from rgbd_calib.pipeline.calibrate_carried import calibrate_carried
+    from rgbd_calib.pipeline.carried_calibration import check_possible
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.depth_cameras import split
     from rgbd_calib.pipeline.detection import detections_from
@@ -201,10 +207,14 @@ def command(
         )
     reference_of(settings, list(opened.cameras))
     whole, opened = opened, split(opened)
-    check_together(opened)
+    if opened.synchronous:
+        check_together(opened)
+    else:
+        check_possible(opened, settings)
     check_sources(opened, intrinsics, depth_bias)
     found = detections_from(opened, corners, settings.detect, workers, progress)
-    result = calibrate(
+    run = calibrate if opened.synchronous else calibrate_carried
+    result = run(
         opened,
         settings,
         intrinsics=intrinsics,
@@ -231,6 +241,8 @@ def command(
         )
         x, y, z = camera.T_world_color[:3, 3]
         show(f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m  {sure}")
+    for line in clock_lines(result.rig):
+        show(line)
     say(f"Wrote {output}, and the per-corner residuals to {left}")
     if snapshot is not None:
         with whole_folder(kept, overwrite) as folder:
@@ -246,6 +258,13 @@ def command(
         say(f"  {own['text']}. {own['advice']}.")
     if strict and verdict.level == "untrusted":
         click.get_current_context().exit(1)
+
+
+def clock_lines(rig: Rig) -> list[str]:
+    """The clock of each camera that has one."""
+    from rgbd_calib.cli.sync import clock_line
+
+    return [clock_line(c, own.clock, rig.reference) for c, own in rig.cameras.items() if own.clock is not None]
 
 
 def describe(quality: dict[str, Any]) -> list[str]:

@@ -25,6 +25,12 @@ SNAPSHOT_FRAMES = 30
     is_flag=True,
     help="One shot of the empty scene, depth the mean of 30 frames, for `verify --snapshot`: no board.",
 )
+@click.option(
+    "--wave",
+    type=click.FloatRange(1.0, 3600.0),
+    metavar="SECONDS",
+    help="Record every frame of every camera for so long, while the board is carried; `calibrate` estimates the clocks.",
+)
 @click.option("--distances", metavar="M,M,...", help="With --depth-bias: the distances to go through, metres.")
 @click.option("--on-still", is_flag=True, help="Take a shot whenever the board is held still in a new pose.")
 @click.option("--interval", type=click.FloatRange(0), help="Seconds between shots.  [default: 0.5]")
@@ -75,6 +81,7 @@ def command(
     intrinsic: bool,
     depth_bias: bool,
     snapshot: bool,
+    wave: float | None,
     distances: str | None,
     on_still: bool,
     interval: float | None,
@@ -101,6 +108,7 @@ def command(
       rgbd-calib capture rig1/intrinsic --board 9x6 --square 0.06 --intrinsic
       rgbd-calib capture rig1/empty --snapshot
       rgbd-calib capture rig1/depth_bias --depth-bias --distances 0.8,1.2,1.6,2.0,2.5,3.0
+      rgbd-calib capture rig1/wave --board 9x6 --square 0.06 --wave 30 --preview
 
     Ctrl-C stops cleanly, with exit status 0 and all that was recorded. The status is 1 where it could not go
     on (disk full, no frames from any camera) or recorded nothing. OUT/capture.yaml says what happened.
@@ -108,11 +116,21 @@ def command(
     known_distances = _parse_distances(distances)
     if intrinsic and depth_bias:
         raise ConfigError("--intrinsic and --depth-bias: both given, one recording is for one of them. Run it twice")
+    if wave is not None and (intrinsic or depth_bias or on_still or until_enough or interval is not None or count):
+        raise ConfigError(
+            "--wave records every frame while the board is carried; it goes without --intrinsic, --depth-bias, --on-still, "
+            "--until-enough, --interval and --count. Leave them out"
+        )
+    if wave is not None and ((depth_frames or 1) > 1 or alternate_emitters):
+        raise ConfigError(
+            "--wave: the board moves, so that --depth-frames and --alternate-emitters do not apply. Leave them out"
+        )
     if distances and not depth_bias:
         raise ConfigError("--distances belongs to --depth-bias. Add that, or leave it out")
-    if snapshot and (intrinsic or depth_bias or on_still or until_enough or append):
+    if snapshot and (intrinsic or depth_bias or wave is not None or on_still or until_enough or append):
         raise ConfigError(
-            "--snapshot: one shot of the empty scene, without --intrinsic, --depth-bias, --on-still, --until-enough and --append. "
+            "--snapshot: one shot of the empty scene, without --intrinsic, --depth-bias, --wave, --on-still, --until-enough and "
+            "--append. "
             "Leave them out"
         )
     named_board = board()
@@ -137,13 +155,14 @@ def command(
     )
     params = CaptureParams(
         out,
-        "intrinsic" if intrinsic else "depth-bias" if depth_bias else "rig",
+        "intrinsic" if intrinsic else "depth-bias" if depth_bias else "wave" if wave is not None else "rig",
         mode,
         DepthParams(depth_frames or (SNAPSHOT_FRAMES if snapshot else 1), alternate_emitters, snapshot),
         CoverageParams(judge_cameras=not pairs_only),
         named_board,  # type: ignore[arg-type]
         parse_devices(devices),
         known_distances,
+        wave or 0.0,
         drivers,
         redist,
         append,

@@ -33,6 +33,7 @@ COMMANDS = (
     "evaluate",
     "verify",
     "monitor",
+    "sync",
     "report",
     "view",
     "fuse",

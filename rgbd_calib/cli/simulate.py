@@ -122,6 +122,44 @@ if TYPE_CHECKING:
     metavar="KIND,...",
     help="Lens models of the colour cameras, in turn: brown (5 coefficients), rational (8), fisheye (Kannala-Brandt).",
 )
+@click.option(
+    "--wave",
+    type=click.FloatRange(1.0, 600.0),
+    default=None,
+    metavar="SECONDS",
+    help="Carry the board for so long before free-running cameras, in place of the shared frames: OUT/wave.",
+)
+@click.option(
+    "--rate", type=click.FloatRange(1.0, 120.0), default=30.0, show_default=True, help="With --wave: frames per second."
+)
+@click.option(
+    "--clock-offset",
+    type=click.FloatRange(0.0, 3600.0),
+    default=5.0,
+    show_default=True,
+    help="With --wave: offsets of the clocks are drawn from +- this, seconds.",
+)
+@click.option(
+    "--jitter",
+    type=click.FloatRange(0.0, 0.05),
+    default=0.0,
+    show_default=True,
+    help="With --wave: noise of the time stamps, seconds (one sigma).",
+)
+@click.option(
+    "--readout",
+    type=click.FloatRange(0.0, 0.05),
+    default=0.0,
+    show_default=True,
+    help="With --wave: readout time of a rolling shutter, seconds.",
+)
+@click.option(
+    "--lost",
+    type=click.FloatRange(0.0, 0.5),
+    default=0.02,
+    show_default=True,
+    help="With --wave: share of dropped frames.",
+)
 @click.option("--ideal", is_flag=True, help="No print, depth field, registration, wall or image errors.")
 @click.option(
     "--print-scale",
@@ -170,6 +208,12 @@ def command(
     depth_size: str | None,
     infrared: bool,
     lens: str,
+    wave: float | None,
+    rate: float,
+    clock_offset: float,
+    jitter: float,
+    readout: float,
+    lost: float,
     ideal: bool,
     print_scale: float,
     no_print_errors: bool,
@@ -196,6 +240,7 @@ def command(
 
     \b
     OUT/extrinsic         the board, seen by several cameras
+    OUT/wave              with --wave, in place of extrinsic: a carried board, each camera with its own frames and clock
     OUT/intrinsic         close views of the board, one camera at a time
     OUT/depth_bias        a wall at known distances
     OUT/truth.yaml        true rig, board shape, walls, and board pose of each frame
@@ -216,6 +261,7 @@ def command(
       rgbd-calib simulate kinects --sensor tof --unregistered --infrared --lens rational
       rgbd-calib simulate clean --no-noise --frames 12
       rgbd-calib simulate bumped --snapshot --move C2:8,0,0,0,0.4,0 --people 2 --light 0.5
+      rgbd-calib simulate carried --wave 30 --intrinsic-views 0 --distances ""
     """
     options.refuse_existing(out, overwrite, folder=True)
     cols, rows = _board_size(board)
@@ -228,6 +274,7 @@ def command(
     import time
 
     from rgbd_calib.io.files import whole_folder
+    from rgbd_calib.simulation.clocks import WaveParams
     from rgbd_calib.simulation.color_sensor import ColorNoise
     from rgbd_calib.simulation.realism import IDEAL, Part, Realism
     from rgbd_calib.simulation.recording import SimulationParams, simulate
@@ -263,6 +310,11 @@ def command(
         infrared=infrared,
         bias=not (no_bias or no_noise),
         jpeg_quality=jpeg,
+        wave=None
+        if wave is None
+        else WaveParams(
+            seconds=wave, rate_hz=rate, offset_s=clock_offset, jitter_s=jitter, readout_s=readout, lost=lost
+        ),
         realism=IDEAL if ideal or no_noise else Realism(print_scale=print_scale).without(*off),
     )
     begin = time.monotonic()

@@ -255,7 +255,11 @@ class NormalEquations:
         right = self.unit_gradient.copy()
         for W, units, at in zip(self.W, self.pattern.units, self.pattern.columns, strict=True):
             right[units] += np.einsum("npd,p->nd", W, step[at])
-        return -np.einsum("fij,fj->fi", self.V_inv, right)
+        return -self.unit_solved(right)
+
+    def unit_solved(self, right: FloatArray) -> FloatArray:
+        """V^-1 of (F, D, ...)."""
+        return (self.V_inv @ right.reshape(*right.shape[:2], -1)).reshape(right.shape)
 
     def step(self, free: BoolArray, damping: float) -> tuple[FloatArray, FloatArray] | None:
         """The damped step (P,), (F, D) of the free globals (P,) and the units; None where the equations are singular."""

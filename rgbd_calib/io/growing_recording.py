@@ -57,8 +57,10 @@ class GrowingRecording:
         depth_scale: float = 0.001,
         registered: bool = True,
         append: bool = False,
+        synchronous: bool = True,
     ) -> None:
         self.folder = folder
+        self._synchronous = synchronous
         self._serials: dict[str, str | None] = {}
         self._described: dict[str, CameraInfo] = {}
         self._depth_scale = depth_scale
@@ -190,7 +192,8 @@ class GrowingRecording:
                 (self.folder / "dataset.yaml").unlink(missing_ok=True)
 
     def _write_dataset(self) -> None:
-        write_dataset(self.folder, dict(sorted(self._cameras.items())), self._board)
+        cameras = dict(sorted(self._cameras.items()))
+        write_dataset(self.folder, cameras, self._board, synchronous=self._synchronous)
 
     def _lines(
         self, frame: str, images: Mapping[str, CameraImages], spread_us: int | None
@@ -217,6 +220,11 @@ class GrowingRecording:
             raise ConfigError(
                 f"{self.folder / 'dataset.yaml'}: board: {there.board} there, {board} given; one recording has one board. "
                 "Leave --board out, or record into another folder"
+            )
+        if there.synchronous != self._synchronous:
+            raise ConfigError(
+                f"{self.folder / 'dataset.yaml'}: synchronous: {there.synchronous} there, {self._synchronous} wanted; a carried "
+                "board (--wave) and frame sets are two recordings. Record into another folder"
             )
         self._board = board or there.board
         self._cameras = dict(there.cameras)

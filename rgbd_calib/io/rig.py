@@ -23,9 +23,9 @@ from rgbd_calib.io.schema_parts import (
     IntrinsicsModel,
     field_data,
 )
-from rgbd_calib.io.schemas import RigModel
+from rgbd_calib.io.schemas import ClockModel, RigModel
 from rgbd_calib.io.tables import short
-from rgbd_calib.types import Board, DepthBias, Rig, RigCamera
+from rgbd_calib.types import Board, Clock, DepthBias, Rig, RigCamera
 
 _KNOWN = (
     "intrinsics",
@@ -36,6 +36,7 @@ _KNOWN = (
     "depth_bias",
     "depth_field",
     "depth",
+    "clock",
 )
 
 
@@ -105,6 +106,7 @@ def read_rig(path: Path) -> Rig:
             {k: v for k, v in camera.model_dump(exclude_none=True).items() if k not in _KNOWN},
             camera.depth_field.value() if camera.depth_field else None,
             camera.depth.value() if camera.depth else None,
+            camera.clock.value() if camera.clock else None,
         )
     reference = next(iter(cameras)) if model.reference is None else model.reference
     if reference not in cameras:
@@ -148,6 +150,31 @@ def read_boards(path: Path) -> dict[str, FloatArray]:
     return {frame: np.array(T) for frame, T in (model.boards or {}).items()}
 
 
+def write_timing(
+    path: Path, reference: str, clocks: Mapping[str, Clock], quality: Mapping[str, Any], provenance: Mapping[str, Any]
+) -> None:
+    """Write timing.yaml: a rig file with clocks alone."""
+    head = {"format": "rgbd-calib/rig", "version": 1, "reference": reference}
+    cameras = {name: {"clock": ClockModel.of(clock).model_dump()} for name, clock in clocks.items()}
+    write_text(path, dump_yaml(head | {"cameras": cameras, "quality": dict(quality), "provenance": dict(provenance)}))
+
+
+def read_timing(path: Path) -> tuple[str, dict[str, Clock]]:
+    """The reference, and clocks by camera, from timing.yaml or any rig file with clocks.
+
+    Raises
+    ------
+    ConfigError
+        No camera has one, or the reference has none.
+    """
+    model = parse(RigModel, load_yaml(path), path)
+    found = {name: own.clock.value() for name, own in model.cameras.items() if own.clock}
+    reference = next(iter(found), "") if model.reference is None else model.reference
+    if reference not in found:
+        raise ConfigError(f"{path}: 'clock' of the cameras expected, none found. Make it with `rgbd-calib sync`")
+    return reference, found
+
+
 def camera_entry(camera: RigCamera) -> dict[str, Any]:
     """What a rig file holds of a camera."""
     entry: dict[str, Any] = {
@@ -163,6 +190,8 @@ def camera_entry(camera: RigCamera) -> dict[str, Any]:
         entry["depth_field"] = field_data(camera.depth_field)
     if camera.depth_camera is not None:
         entry["depth"] = DepthCameraModel.of(camera.depth_camera).model_dump(exclude_none=True)
+    if camera.clock is not None:
+        entry["clock"] = ClockModel.of(camera.clock).model_dump()
     return entry | camera.statistics
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -25,6 +26,30 @@ from rgbd_calib.io.schema_parts import (
     IntrinsicsModel,
     PolynomialFieldModel,
 )
+from rgbd_calib.types import Clock
+
+NotNegative = Annotated[Finite, Field(ge=0)]
+
+
+class ClockModel(Model):
+    """t_reference = stamp + offset_s + 1e-6 drift_ppm (stamp - first stamp); zeros for the reference; `depth_delay_s` is the
+    instant of the depth less that of its colour image beyond what the stamps say; `readout_s` from the first row to the last."""
+
+    offset_s: Finite = 0.0
+    offset_sd_s: NotNegative = 0.0
+    drift_ppm: Finite = 0.0
+    drift_sd_ppm: NotNegative = 0.0
+    depth_delay_s: Finite = 0.0
+    depth_delay_sd_s: NotNegative = 0.0
+    readout_s: Finite = 0.0
+    jitter_s: NotNegative = 0.0
+
+    @classmethod
+    def of(cls, clock: Clock) -> ClockModel:
+        return cls(**asdict(clock))
+
+    def value(self) -> Clock:
+        return Clock(**self.model_dump())
 
 
 class RigCameraModel(Model):
@@ -38,6 +63,7 @@ class RigCameraModel(Model):
     depth_bias: DepthBiasModel | None = None
     depth_field: PolynomialFieldModel | GridFieldModel | None = Field(default=None, discriminator="basis")
     depth: DepthCameraModel | None = None
+    clock: ClockModel | None = None
     intrinsics_sd: Annotated[list[Finite], Field(min_length=8, max_length=18)] | None = None
     sigma_2d_px: Finite | None = None
     sigma_3d_m: Finite | None = None

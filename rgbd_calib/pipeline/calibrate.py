@@ -127,7 +127,7 @@ def calibrate(
         if config.bundle.structure == "free":
             solved = free_structure(solved)
         views = views.read_as(solved.course.views)
-        boards, rig = solved.board_poses(), _rig_of_bundle(solved, reference)
+        boards, rig = solved.board_poses(), rig_of_bundle(solved, reference)
         residuals, joint = details.residuals_of_bundle(solved, board), details.joint_of_bundle(solved)
         quality = bundle_quality(solved)
     else:
@@ -319,7 +319,7 @@ def _bundle(views: Views, board: Board, recording: Recording, config: Config, re
     return bundle([*views.association.views, *single], board, priors, start, reference, config.bundle, walls)
 
 
-def _rig_of_bundle(solved: Solution, reference: str) -> Rig:
+def rig_of_bundle(solved: Solution, reference: str) -> Rig:
     cameras = {}
     for name in solved.cameras:
         cameras[name] = RigCamera(

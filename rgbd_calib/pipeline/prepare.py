@@ -76,7 +76,8 @@ def check_together(recording: Recording) -> None:
     if not recording.synchronous:
         raise CalibrationError(
             f"{recording.path / 'dataset.yaml'}: synchronous is false, and frames of one instant are needed. Join frames by "
-            "time with `rgbd-calib import RECORDING -o NEW --match timestamp`"
+            "time with `rgbd-calib sync RECORDING --apply TIMING -o NEW`, or, where the clocks agree, with `rgbd-calib import "
+            "RECORDING -o NEW --match timestamp`"
         )
     color = {c: tuple(files) for c, files in recording.color_files.items()}
     for apart in check_stems(color, {c: recording.timestamps_us(c) for c in recording.cameras}):

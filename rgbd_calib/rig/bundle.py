@@ -79,12 +79,17 @@ def bundle(
         The equations are singular, or too few views are left.
     """
     params = params or BundleParams()
-    problem, state, frames = problem_of(views, board, priors, T_world_color, reference, params, walls)
+    return solved(*problem_of(views, board, priors, T_world_color, reference, params, walls), views)
+
+
+def solved(problem: Problem, state: State, frames: tuple[str, ...], views: Sequence[PlacedView]) -> Solution:
+    """The rounds of :func:`bundle`, from a problem of these views and its start."""
+    params, board = problem.setup.params, problem.setup.board
     dropped, dropped_corners = dict[tuple[str, str], str](), 0
     history: list[Round] = []
     iterations, settled, taken_back = 0, False, False
     keys = [(placed.view.camera, placed.view.frame) for placed in views]
-    n_readings = MAX_READINGS if faces.ambiguous(board) else 0
+    n_readings = MAX_READINGS if faces.ambiguous(board) and problem.reads_faces else 0
     for k in range(n_readings + params.max_rounds):
         problem, state, moved, done = _round(problem, state, len(dropped))
         iterations, history = iterations + done[0], [*history, done[1]]
@@ -171,10 +176,12 @@ def _round(problem: Problem, state: State, n_dropped: int) -> tuple[Problem, Sta
     params = problem.setup.params
     minimum = solve.minimize(problem, state, params.max_iterations, params.round_tolerance)
     with_fields = replace(problem, local=local_fields(problem, minimum.state))
-    weights = reweighted(with_fields, minimum.state, solve.covariance(with_fields, minimum.state))
-    moved = problem.weights.change(weights)
+    covariance = solve.covariance(with_fields, minimum.state)
+    weights = reweighted(with_fields, minimum.state, covariance)
+    tuned, change = with_fields.tuned(minimum.state, covariance)
+    moved = max(problem.weights.change(weights), change)
     told = _told(minimum.cost, weights, n_dropped)
-    return replace(with_fields, weights=weights), minimum.state, moved, (minimum.iterations, told)
+    return replace(tuned, weights=weights), minimum.state, moved, (minimum.iterations, told)
 
 
 def _concluded(problem: Problem, state: State, course: Course) -> Solution:
@@ -207,14 +214,15 @@ def _message(settled: bool, params: BundleParams) -> str:
 
 def _check_left(problem: Problem, dropped: Mapping[tuple[str, str], str]) -> None:
     """Every camera must still be joined to the reference by frames that are left, and not by a few that agree by chance."""
-    obs, cameras = problem.obs, problem.setup.cameras
+    obs, cameras, instants = problem.obs, problem.setup.cameras, problem.instants()
     used = obs.has_pixel.any(axis=1) & obs.shared
     left, at_first = (np.bincount(obs.camera[v], minlength=len(cameras)) for v in (used, obs.shared))
     used &= (left >= MIN_SHARE_LEFT * at_first)[obs.camera]
     joined, grown = {cameras.index(problem.setup.reference)}, True
     while grown:
-        frames = {int(f) for f, c in zip(obs.frame[used], obs.camera[used], strict=True) if int(c) in joined}
-        more = {int(c) for f, c in zip(obs.frame[used], obs.camera[used], strict=True) if int(f) in frames}
+        pairs = [(int(f), int(c)) for f, c in zip(instants[used], obs.camera[used], strict=True)]
+        together = {f for f, c in pairs if c in joined}
+        more = {c for f, c in pairs if f in together}
         grown, joined = not more <= joined, joined | more
     priors = problem.setup.priors  # a depth camera that sees no corners goes with its colour camera
     lost = [name for i, name in enumerate(cameras) if i not in joined and priors[i].mount is None]

@@ -76,7 +76,7 @@ def common_errors(problem: Problem, state: State, cov: Covariance) -> CommonErro
     for WV, units, at in zip(eq.WV, eq.pattern.units, eq.pattern.columns, strict=True):
         reduced[:, at] -= np.einsum("npi,nki->kp", WV, by_unit[units], optimize=True)
     moved = reduced @ cov.of_globals  # A^-1 s_k
-    absorbed = moved @ reduced.T + product(by_unit @ eq.V_inv, by_unit)
+    absorbed = moved @ reduced.T + product(eq.unit_solved(by_unit.transpose(0, 2, 1)).transpose(0, 2, 1), by_unit)
     of_depth = np.arange(K) % N_CELLS >= N_CELLS - RANGE_CELLS
     tau = []
     covariance = np.zeros((P, P))

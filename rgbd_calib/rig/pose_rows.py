@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rgbd_calib.geometry.linear import Covariance, Rows
+from rgbd_calib.geometry.linear import Covariance, IntArray, Rows
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import Kind
 from rgbd_calib.rig.problem import Problem, State
@@ -25,25 +25,32 @@ class PoseRows:
     """(V, parts, D)."""
     residual: FloatArray
     """(V, parts), Q' r."""
+    units: IntArray
+    """(V, parts), the unit that each touches."""
 
     def carried(self, covariance: Covariance, problem: Problem) -> tuple[FloatArray, FloatArray]:
         """Their products with the covariance: (V, parts, P) of the globals, and (V, parts, D) of each view's unit."""
-        cross = covariance.cross(problem.obs.frame)
-        of_units = covariance.of_units[problem.obs.frame]
-        with_globals = self.of_globals @ covariance.of_globals + self.of_units @ cross.transpose(0, 2, 1)
-        return with_globals, self.of_globals @ cross + self.of_units @ of_units
+        of_globals, of_units = [], []
+        for part in (slice(0, N_PIXEL), slice(N_PIXEL, N_PARTS)):
+            units, by_globals, by_units = self.units[:, part.start], self.of_globals[:, part], self.of_units[:, part]
+            cross, own = covariance.cross(units), covariance.of_units[units]
+            of_globals.append(by_globals @ covariance.of_globals + by_units @ cross.transpose(0, 2, 1))
+            of_units.append(by_globals @ cross + by_units @ own)
+        return np.concatenate(of_globals, axis=1), np.concatenate(of_units, axis=1)
 
 
 def pose_rows(problem: Problem, state: State) -> PoseRows:
     """At a state."""
     V = len(problem.obs.camera)
     out = np.zeros((V, N_PARTS, problem.n_globals)), np.zeros((V, N_PARTS, problem.unit_size)), np.zeros((V, N_PARTS))
+    units = np.zeros((V, N_PARTS), int)
     for views, look, rows in problem.rows(state):
         Q, at = part_of(problem, look.kind)
+        units[views, at] = rows.units[:, None]
         Q = Q[views].transpose(0, 2, 1)
         for target, own in zip(out, through(rows, Q, problem.n_globals), strict=True):
             target[views, at] = own
-    return PoseRows(*out)
+    return PoseRows(*out, units)
 
 
 def part_of(problem: Problem, kind: Kind) -> tuple[FloatArray, slice]:

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.geometry.linear import BoolArray, IntArray, NormalEquations, Pattern, Rows, assemble
+from rgbd_calib.geometry.linear import BoolArray, Covariance, IntArray, NormalEquations, Pattern, Rows, assemble
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig import terms
 from rgbd_calib.rig.blocks import (
@@ -33,7 +33,7 @@ from rgbd_calib.rig.blocks import (
 from rgbd_calib.rig.blocks.board_shape import nominal_corners_m
 from rgbd_calib.rig.observations import Observations
 from rgbd_calib.rig.setup import Setup
-from rgbd_calib.rig.sight import Look, Sight
+from rgbd_calib.rig.sight import Look, Sight, sight_of
 from rgbd_calib.rig.weights import Weights
 
 if TYPE_CHECKING:
@@ -90,6 +90,8 @@ class Problem:
     local: tuple[LocalField | None, ...] = ()
     """By camera, the pattern of its depth that is known between the rounds; empty: none."""
     unit_size: int = 6
+    reads_faces: ClassVar[bool] = True
+    """Each frame may be read from either side (:mod:`.faces`)."""
 
     @classmethod
     def of(cls, setup: Setup, blocks: Sequence[type[Block]] = ESTIMATED) -> Problem:
@@ -154,18 +156,34 @@ class Problem:
             information[np.ix_(index, index)] += component.structure / self.weights.sizes[component.name] ** 2
         return Prior(mean, information, free, assumed)
 
+    @property
+    def n_board_units(self) -> int:
+        """Units of the boards, which come before those of the walls: a pose for each frame."""
+        return self.setup.obs.n_frames
+
+    def units_of(self, state: State, look: Look) -> IntArray:
+        """(n,), the unit that each view of rows touches."""
+        return look.sight.obs.frame
+
+    def tuned(self, state: State, covariance: Covariance) -> tuple[Problem, float]:
+        """With what else the residuals tell besides the weights, and by how much it changed, as for the weights."""
+        return self, 0.0
+
+    def instants(self) -> IntArray:
+        """(V,), equal for views that tie their cameras to each other."""
+        return self.obs.frame
+
     @cached_property
     def unit_information(self) -> FloatArray:
         """(F + W, D), diagonal: what is known of the units before; of walls alone."""
         own, w = self.setup, self.weights
-        out = np.zeros((own.obs.n_frames + own.walls.n, self.unit_size))
-        out[own.obs.n_frames :, 0] = w.robust_distance * (w.distance_factor * own.walls.sd_m) ** -2.0
-        out[own.obs.n_frames :, 1:3] = own.params.wall_tilt_sd_rad**-2.0
+        out = np.zeros((self.n_board_units + own.walls.n, self.unit_size))
+        out[self.n_board_units :, 0] = w.robust_distance * (w.distance_factor * own.walls.sd_m) ** -2.0
+        out[self.n_board_units :, 1:3] = own.params.wall_tilt_sd_rad**-2.0
         return out
 
     def start(self, boards: Boards) -> State:
-        values = {b.name: b.start() for b in self.blocks}
-        return State(values, boards, WallPlanes(np.zeros((self.setup.walls.n, 3))))
+        return State({b.name: b.start() for b in self.blocks}, boards, WallPlanes(np.zeros((self.setup.walls.n, 3))))
 
     def moved(self, state: State, step: FloatArray, unit_step: FloatArray) -> State:
         """The state after a step of the globals (P,) and of the units (F + W, D)."""
@@ -180,7 +198,7 @@ class Problem:
     def unit_vector(self, state: State) -> FloatArray:
         """(F + W, D), of walls alone, zeros for the boards, to compare with what is known of them: zero."""
         out = np.zeros(self.unit_information.shape)
-        out[self.setup.obs.n_frames :, :3] = state.walls.values
+        out[self.n_board_units :, :3] = state.walls.values
         return out
 
     # ------------------------------------------------------------------------------------------------ prediction
@@ -206,7 +224,7 @@ class Problem:
             for first in range(0, len(mine), VIEWS_AT_ONCE):
                 some = mine[first : first + VIEWS_AT_ONCE]
                 thickness_m = self.setup.board.thickness_m
-                yield some, _sight(c, obs.only(some), state.boards, corners, thickness_m, T_color_world[c])
+                yield some, sight_of(c, obs.only(some), state.boards, corners, thickness_m, T_color_world[c])
 
     def looks(self, state: State, views: IntArray | None = None) -> Iterator[tuple[IntArray, Look]]:
         """Rows of pixels and depth of the views of :meth:`sights`."""
@@ -230,8 +248,10 @@ class Problem:
         for block in self.blocks:
             if isinstance(block, Registration) and np.any(state.values[block.name][c]):
                 shift += block.by_parameters(c, obs.pixels_px, obs.depth_m) @ state.values[block.name][c]
-        look = terms.look_at_depth(sight, self.setup.priors[c].intrinsics, shift, corrected, slope)
+        look = self.depth_rows(sight, self.setup.priors[c].intrinsics, shift, corrected, slope)
         return replace(look, values=self._of_depth(state, c))
+
+    depth_rows = staticmethod(terms.look_at_depth)
 
     def looks_at_walls(self, state: State, cameras: Sequence[int]) -> Iterator[tuple[IntArray, Look, FloatArray]]:
         """Rows of the walls of each camera, their numbers, and the derivatives (n, N, 1, 3) by the walls' own unknowns."""
@@ -304,11 +324,11 @@ class Problem:
         for some, look in self.looks(state, views):
             w = scales[OF_BOARDS.index(look.kind)][some]
             by_unit = state.boards.derivative(look)
-            yield some, look, self._rows(look, look.sight.obs.frame, by_unit, w)
+            yield some, look, self._rows(look, self.units_of(state, look), by_unit, w)
 
     def wall_rows(self, state: State, cameras: Sequence[int]) -> Iterator[tuple[IntArray, Look, Rows]]:
         """Weighted rows of the walls of some cameras."""
-        scales, F = self.weights.wall_scales(self.setup.walls), self.setup.obs.n_frames
+        scales, F = self.weights.wall_scales(self.setup.walls), self.n_board_units
         for some, look, by_wall in self.looks_at_walls(state, cameras):
             by_unit = np.zeros((*look.left.shape, self.unit_size))
             by_unit[..., :3] = by_wall
@@ -378,23 +398,3 @@ class Problem:
     def using(self, obs: Observations) -> Problem:
         """The same with other masks."""
         return replace(self, obs=obs)
-
-
-def _sight(
-    camera: int,
-    obs: Observations,
-    boards: Boards,
-    corners_m: FloatArray,
-    thickness_m: float,
-    T_color_world: FloatArray,
-) -> Sight:
-    X = corners_m[obs.back[:, None], obs.corner]
-    T, freed = boards.T_parent_board[obs.frame], boards.freed[obs.frame]
-    if freed.any():
-        X = np.where(freed[:, None, None], obs.back[:, None, None] * np.array([0, 0, thickness_m]), X)
-    p_parent = X @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
-    if freed.any():  # each from its own corner of the front
-        p_parent[freed] += boards.corners_m[obs.frame[freed, None], obs.corner[freed]] - T[freed, None, :3, 3]
-    T_color_parent = np.where(obs.shared[:, None, None], T_color_world, np.eye(4))
-    p = p_parent @ T_color_parent[:, :3, :3].transpose(0, 2, 1) + T_color_parent[:, None, :3, 3]
-    return Sight(camera, obs, T[:, :3, :3], freed, p_parent, T_color_parent[:, :3, :3], p)

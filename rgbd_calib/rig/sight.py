@@ -14,6 +14,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.observations import Observations
 
 if TYPE_CHECKING:
+    from rgbd_calib.rig.blocks import Boards
     from rgbd_calib.rig.blocks.block import Kind
 
 
@@ -89,3 +90,24 @@ class Look:
         assert self.by_point is not None
         held = np.where(self.sight.freed[:, None, None], 0.0, self.sight.R_parent_board)
         return np.asarray(self.by_point @ held[:, None])
+
+
+def sight_of(
+    camera: int,
+    obs: Observations,
+    boards: Boards,
+    corners_m: FloatArray,
+    thickness_m: float,
+    T_color_world: FloatArray,
+) -> Sight:
+    """Views of one camera: `corners_m` (2, M, 3) are the board's, the boards' frames those of `obs`."""
+    X = corners_m[obs.back[:, None], obs.corner]
+    T, freed = boards.T_parent_board[obs.frame], boards.freed[obs.frame]
+    if freed.any():
+        X = np.where(freed[:, None, None], obs.back[:, None, None] * np.array([0, 0, thickness_m]), X)
+    p_parent = X @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
+    if freed.any():  # each from its own corner of the front
+        p_parent[freed] += boards.corners_m[obs.frame[freed, None], obs.corner[freed]] - T[freed, None, :3, 3]
+    T_color_parent = np.where(obs.shared[:, None, None], T_color_world, np.eye(4))
+    p = p_parent @ T_color_parent[:, :3, :3].transpose(0, 2, 1) + T_color_parent[:, None, :3, 3]
+    return Sight(camera, obs, T[:, :3, :3], freed, p_parent, T_color_parent[:, :3, :3], p)

@@ -41,6 +41,8 @@ class BentFace:
     def meet(self, s_m: FloatArray, t_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Page coordinates (s, t) and stretch of rays through points (...) of the flat face."""
         n = s_m.size
+        if not n:
+            return s_m, t_m, np.ones_like(s_m)
         # cv2.remap takes at most 32767 rows; it rounds positions to 1/32 of a cell, which is 3 um on the page
         maps = np.zeros((2, -(-n // _ROW), _ROW), np.float32)
         for own, place, step in zip(maps, (s_m, t_m), self.step_m, strict=True):

@@ -6,7 +6,7 @@ processes or their order.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from rgbd_calib.io.images import write_image
 from rgbd_calib.simulation import board as boards
 from rgbd_calib.simulation import poses
 from rgbd_calib.simulation.bent import bent_faces
+from rgbd_calib.simulation.carried import depth_picture, render_carried
 from rgbd_calib.simulation.color_sensor import Optics, develop
 from rgbd_calib.simulation.depth_sensor import DepthNoise, measure
 from rgbd_calib.simulation.infrared import infrared_image, reflectance, room_reflectance, with_board_reflectance
@@ -134,6 +135,12 @@ def make_images(job: Job) -> tuple[tuple[str, str, str], list[tuple[Any, ...]]]:
     if job.T_room_board is None:
         assert job.wall is not None
         picture = render_wall(view, job.wall.wall, rng)
+    elif job.carried is not None:
+        room, K = _room_picture(job.camera), _setting.rig.intrinsics[job.camera]
+        args = (K, _setting.rig.T_room_color[job.camera], room, _room(), params.board, _setting.board)
+        picture = render_carried(job.carried, *args, rng)
+        board_caster = Caster(boards.plate(params.board).moved(job.T_room_board))
+        rows = _true_corners(job, view, board_caster)
     else:
         board_caster = Caster(boards.on_stand(params.board, job.T_room_board, _ground(job.T_room_board)))
         bent = bent_faces(_setting.board, job.T_room_board, view.origin_m)
@@ -141,6 +148,11 @@ def make_images(job: Job) -> tuple[tuple[str, str, str], list[tuple[Any, ...]]]:
         rows = _true_corners(job, view, board_caster)
     folder = _setting.folder / job.recording
     _save_color(folder, job, develop(picture, params.color_noise, rng, *_taking(job, view, picture.z_m)))
+    if job.carried is not None:
+        picture, board_caster = depth_picture(
+            job.carried, view, _room_picture(job.camera), params.board, _setting.board
+        )
+        job = replace(job, T_room_board=job.carried.depth_pose)
     _make_depth(folder, job, _sight(job, picture, board_caster, rng), rng)
     return (job.recording, job.camera, job.frame), rows
 
@@ -242,6 +254,8 @@ def _true_corners(job: Job, view: View, board_caster: Caster) -> list[tuple[Any,
     back = bool(poses.looks_at_back(T_color_board, board))
     shaped = board if _setting.board is None else _setting.board.board
     p = se3.transform(T_color_board, shaped.corners_m(back))
+    if job.carried is not None:
+        p = job.carried.points(K, _setting.rig.T_room_color[job.camera], shaped.corners_m(back))
     if (back and not board.two_sided) or np.any(p[:, 2] < 0.1):
         return []
     px = K.project(p)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from rgbd_calib.simulation.clocks import WaveParams
 from rgbd_calib.simulation.color_sensor import ColorNoise
 from rgbd_calib.simulation.depth_sensor import DepthNoise
 from rgbd_calib.simulation.lenses import LensKind
@@ -14,7 +15,7 @@ from rgbd_calib.simulation.rig import Layout, Sensor
 from rgbd_calib.simulation.time_of_flight import TimeOfFlight
 from rgbd_calib.types import Board
 
-RIG, SHARED, CLOSE, ROOM, IMAGE, WALL, PRINT, SENSORS, TAPE, LIGHT, LENSES, SNAPSHOT = range(12)
+RIG, SHARED, CLOSE, ROOM, IMAGE, WALL, PRINT, SENSORS, TAPE, LIGHT, LENSES, SNAPSHOT, WAVE = range(13)
 """First element of the key of each random generator."""
 
 
@@ -46,6 +47,8 @@ class SimulationParams:
     """Also save infrared images of the depth cameras."""
     realism: Realism = IDEAL
     """Errors in addition to lens distortion, depth bias and noise."""
+    wave: WaveParams | None = None
+    """The board is carried before free-running cameras, in place of the shared frames; None: it stands still."""
 
 
 def generator(seed: int, *key: int) -> np.random.Generator:

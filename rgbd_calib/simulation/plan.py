@@ -8,14 +8,17 @@ import numpy as np
 
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation import poses
-from rgbd_calib.simulation.params import CLOSE, SHARED, TAPE, WALL, SimulationParams, generator
+from rgbd_calib.simulation.carried import Carried
+from rgbd_calib.simulation.clocks import CameraClock, Exposures, WaveParams, draw_clocks, expose
+from rgbd_calib.simulation.motion import HandMotion, hand_motion
+from rgbd_calib.simulation.params import CLOSE, SHARED, TAPE, WALL, WAVE, SimulationParams, generator
 from rgbd_calib.simulation.realism import Realism
 from rgbd_calib.simulation.rig import TrueRig
 from rgbd_calib.simulation.room import furnished_room
 from rgbd_calib.simulation.scene import Caster
 from rgbd_calib.simulation.wall import SQUARE, TapedWall, Wall, tilted
 
-_RECORDINGS = ("intrinsic", "extrinsic", "depth_bias")
+_RECORDINGS = ("intrinsic", "extrinsic", "wave", "depth_bias")
 """In the order of recording."""
 
 
@@ -30,19 +33,52 @@ class Job:
     wall: TapedWall | None = None
     warm: float = 1.0
     """Elapsed share of the session, from 0 to 1."""
+    carried: Carried | None = None
+    """The board's motion, where it moves."""
+
+
+@dataclass(frozen=True)
+class Carrying:
+    """A carried board before free-running cameras."""
+
+    motion: HandMotion
+    clocks: dict[str, CameraClock]
+    exposures: dict[str, Exposures]
+
+
+def carrying(truth: TrueRig, params: SimulationParams, wave: WaveParams) -> Carrying:
+    """The motion, in the room's frame, and when the cameras expose."""
+    rng = generator(params.seed, WAVE)
+    motion = hand_motion([truth.T_room_color[c] for c in truth.cameras], params.board, wave.seconds, rng)
+    clocks = draw_clocks(truth.cameras, wave, rng)
+    return Carrying(motion, clocks, {c: expose(clocks[c], wave, rng) for c in truth.cameras})
+
+
+def _wave_jobs(own: Carrying, wave: WaveParams) -> list[Job]:
+    out = []
+    for c, taken in own.exposures.items():
+        poses = own.motion.poses(taken.t_s)
+        for stem, t, T in zip(taken.stems, taken.t_s, poses, strict=True):
+            carried = Carried(own.motion, np.eye(4), float(t), own.clocks[c], wave.exposure_s)
+            out.append(Job("wave", c, stem, T, carried=carried))
+    return out
 
 
 def plan(truth: TrueRig, params: SimulationParams) -> tuple[dict[str, FloatArray], dict[str, FloatArray], list[Job]]:
     """Board poses of the shared and of the close frames, T_room_board (4, 4) by frame, and all images to make.
 
-    Frames of the shared recording count from 000000, close views from 101000 for C1, 102000 for C2, ..., walls from
+    A carried board has no shared frames: its images are each camera's own. Frames of the shared recording count from 000000, close views from 101000 for C1, 102000 for C2, ..., walls from
     201000: no instant is in two recordings.
     """
     room, common_m = Caster(furnished_room()), _tape_error_m(params)
     n_frames = params.frames if params.frames is not None else max(30, 8 * params.cameras)
-    found = poses.shared_poses(truth, params.board, n_frames, room, generator(params.seed, SHARED))
-    shared = {f"{i:06d}": T for i, T in enumerate(found)}
-    work = [Job("extrinsic", c, f, T) for f, T in shared.items() for c in truth.cameras]
+    shared: dict[str, FloatArray] = {}
+    if params.wave is not None:
+        work = _wave_jobs(carrying(truth, params, params.wave), params.wave)
+    else:
+        found = poses.shared_poses(truth, params.board, n_frames, room, generator(params.seed, SHARED))
+        shared = {f"{i:06d}": T for i, T in enumerate(found)}
+        work = [Job("extrinsic", c, f, T) for f, T in shared.items() for c in truth.cameras]
     close: dict[str, FloatArray] = {}
     for i, c in enumerate(truth.cameras):
         views = poses.close_poses(

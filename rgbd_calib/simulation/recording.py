@@ -11,19 +11,20 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
+from rgbd_calib.geometry import so3
 from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.io import recording as files
 from rgbd_calib.io.schema_parts import DepthCameraModel
 from rgbd_calib.simulation import rig
 from rgbd_calib.simulation.images import Setting, make_images, make_room, start
 from rgbd_calib.simulation.params import LENSES, PRINT, RIG, SENSORS, SimulationParams, generator
-from rgbd_calib.simulation.plan import Job, plan
+from rgbd_calib.simulation.plan import Job, carrying, plan
 from rgbd_calib.simulation.printed import printed
 from rgbd_calib.simulation.realism import IDEAL
 from rgbd_calib.simulation.rig import TrueRig
 from rgbd_calib.simulation.time_of_flight import TimeOfFlight
 from rgbd_calib.simulation.truth import write_truth
-from rgbd_calib.types import DepthCamera
+from rgbd_calib.types import Clock, DepthCamera
 
 Progress = Callable[[Iterable[Any], int, str], Iterator[Any]]
 T = TypeVar("T")
@@ -31,11 +32,14 @@ T = TypeVar("T")
 CORNER_COLUMNS = (
     "recording", "camera", "frame", "face", "feature", "u_px", "v_px", "x_m", "y_m", "z_m", "visible",
 )  # fmt: skip
+TIME_COLUMNS = ("camera", "frame", "t_s", "depth_t_s", "qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
+"""True times, and T_world_board at the first."""
 
 
 @one_blas_thread
 def simulate(folder: Path, params: SimulationParams, jobs: int, progress: Progress) -> dict[str, int]:
-    """Write extrinsic/, intrinsic/, depth_bias/, truth.yaml and true_corners.csv into an existing empty folder.
+    """Write extrinsic/ (or wave/ and true_times.csv), intrinsic/, depth_bias/, truth.yaml and true_corners.csv into an existing
+    empty folder.
 
     Returns the number of frames by recording.
 
@@ -60,9 +64,10 @@ def simulate(folder: Path, params: SimulationParams, jobs: int, progress: Progre
     _write_datasets(folder, params, truth, work)
     walls = {c: {j.frame: j.wall for j in work if j.wall is not None and j.camera == c} for c in truth.cameras}
     warm = {j.frame: j.warm for j in sorted(work, key=lambda j: j.frame)}
-    write_truth(folder / "truth.yaml", truth, made, walls, warm, shared | close, provenance(params))
+    clocks = _write_times(folder, params, truth, work) if params.wave is not None else {}
+    write_truth(folder / "truth.yaml", truth, made, walls, warm, shared | close, provenance(params), clocks)
     return {
-        name: len({j.frame for j in work if j.recording == name}) for name in ("extrinsic", "intrinsic", "depth_bias")
+        name: len({j.frame for j in work if j.recording == name}) for name in dict.fromkeys(j.recording for j in work)
     }
 
 
@@ -104,13 +109,30 @@ def _write_datasets(folder: Path, params: SimulationParams, truth: TrueRig, work
     infos = {c: files.CameraInfo(params.width, params.height, serial=f"simulated-{c}") for c in truth.cameras}
     for name in dict.fromkeys(j.recording for j in work):
         board = None if name == "depth_bias" else params.board
-        files.write_dataset(folder / name, infos, board, unregistered(infos, truth.stated_depth))
+        extra = unregistered(infos, truth.stated_depth)
+        files.write_dataset(folder / name, infos, board, extra, synchronous=name != "wave")
     for c in truth.cameras:
         walls = {j.frame: j.wall for j in work if j.wall is not None and j.camera == c}
         rows = [(frame, *taped.written) for frame, taped in walls.items()]
         if rows:
             columns = ("frame", "distance_m", "sd_m")[: len(rows[0])]
             files.write_table(folder / "depth_bias" / c / "distances.csv", columns, rows)
+
+
+def _write_times(folder: Path, params: SimulationParams, truth: TrueRig, work: list[Job]) -> dict[str, Clock]:
+    """Stamps of the cameras, and the true times and board poses beside them; returns the clocks."""
+    assert params.wave is not None
+    own, rows = carrying(truth, params, params.wave), []
+    for c, taken in own.exposures.items():
+        stamps = zip(taken.stems, taken.stamps_us, taken.stamps_us, strict=True)
+        files.write_table(folder / "wave" / c / "timestamps.csv", ("frame", "color_us", "depth_us"), stamps)
+        poses = truth.T_world_room @ own.motion.poses(taken.t_s)
+        for stem, t, T in zip(taken.stems, taken.t_s, poses, strict=True):
+            pose = (*so3.quaternion_wxyz(T[:3, :3]), *T[:3, 3])
+            times = (f"{t:.7f}", f"{t + own.clocks[c].depth_delay_s:.7f}")
+            rows.append((c, stem, *times, *(f"{x:.9f}" for x in pose)))
+    files.write_table(folder / "true_times.csv", TIME_COLUMNS, rows)
+    return {c: clock.truth for c, clock in own.clocks.items()}
 
 
 def unregistered(infos: Mapping[str, files.CameraInfo], stated: Mapping[str, DepthCamera]) -> dict[str, Any] | None:
@@ -149,6 +171,8 @@ def provenance(params: SimulationParams) -> dict[str, Any]:
         simulated["jpeg_quality"] = params.jpeg_quality
     if params.color_noise.fringe_px:
         simulated["fringe_px"] = params.color_noise.fringe_px
+    if params.wave is not None:
+        simulated["wave"] = asdict(params.wave)
     if params.realism != IDEAL:
         simulated["realism"] = asdict(params.realism)
     return {"program": f"rgbd-calib {__version__}", "simulated": simulated}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from rgbd_calib.io.schema_parts import BoardShapeModel
 from rgbd_calib.simulation.printed import Printed
 from rgbd_calib.simulation.rig import TrueRig
 from rgbd_calib.simulation.wall import TapedWall
-from rgbd_calib.types import Rig
+from rgbd_calib.types import Clock, Rig
 
 
 def write_truth(
@@ -23,9 +24,10 @@ def write_truth(
     warm: Mapping[str, float],
     T_room_board: Mapping[str, FloatArray],
     provenance: Mapping[str, Any],
+    clocks: Mapping[str, Clock],
 ) -> None:
     """Write the rig, T_world_board (4, 4) by frame, and in `quality` the board shape, walls and depth drift (metres along the
-    ray) by camera and frame.
+    ray) by camera and frame, and the clocks of free-running cameras.
 
     `warm` is the elapsed share of the session by frame.
     """
@@ -36,7 +38,8 @@ def write_truth(
         quality["walls"] = {c: {f: taped.truth for f, taped in own.items()} for c, own in walls.items()}
     if rig.cold_m:
         quality["depth_drift"] = {c: {f: rig.drift_m(c, share) for f, share in warm.items()} for c in rig.cold_m}
-    truth = Rig(rig.cameras[0], rig.rig_cameras, quality, dict(provenance))
+    cameras = {c: replace(own, clock=clocks.get(c)) for c, own in rig.rig_cameras.items()}
+    truth = Rig(rig.cameras[0], cameras, quality, dict(provenance))
     write_rig(path, truth, {f: rig.T_world_room @ T for f, T in T_room_board.items()})
 
 

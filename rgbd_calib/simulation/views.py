@@ -41,27 +41,47 @@ def true_views(
     for frame, T_world_board in boards.items():
         for name, own in truth.cameras.items():
             T_color_board = se3.inverse(own.T_world_color) @ T_world_board
-            back = bool(looks_at_back(T_color_board, board))
-            p = se3.transform(T_color_board, board.corners_m(back))
-            middle = p.mean(axis=0)
-            cos = abs(T_color_board[:3, 2] @ middle) / np.linalg.norm(middle)
-            if (back and not board.two_sided) or p[:, 2].min() < 0.3 or cos < _MIN_COS:
+            if not may_be_found(own, T_color_board, board):
                 continue
-            with np.errstate(all="ignore"):
-                px = own.intrinsics.project(p)
-            lens = own.intrinsics
-            inside = np.all((px > 5) & (px < np.array([lens.width, lens.height]) - 6))
-            # far outside the image the lens model folds back
-            if not inside or np.abs(p[:, :2] / p[:, 2:]).max() > lens.width / lens.fx:
-                continue
-            z_m = _reported(own, px, p, T_color_board[:3, 2])
-            u, v = np.moveaxis(board.corners_m() / np.ptp(board.corners_m(), axis=0).clip(1e-9), 1, 0)[:2] * 2 - 1
-            plane = np.stack([np.ones_like(u), u, v], axis=1) @ rng.normal(0, noise.k_plane_per_m, 3)
-            z_m = z_m + (plane + rng.normal(0, noise.k_depth_per_m, len(z_m))) * z_m**2
+            p = se3.transform(T_color_board, board.corners_m(bool(looks_at_back(T_color_board, board))))
+            px = own.intrinsics.project(p)
+            z_m = depth_of_board(own, px, p, T_color_board[:3, 2], board, noise, rng)
             sigma_px = noise.sigma_2d_px * (np.exp(rng.normal(0, noise.spread)) if noise.spread else 1.0)
             found = px + rng.normal(0, sigma_px, px.shape)
             out.append(BoardView(name, frame, np.arange(len(px)), found, z_m, np.full(len(px), 30)))
     return tuple(out)
+
+
+def may_be_found(own: RigCamera, T_color_board: FloatArray, board: Board) -> bool:
+    """Does this camera see the whole board, T_color_board (4, 4), square enough?"""
+    back = bool(looks_at_back(T_color_board, board))
+    p = se3.transform(T_color_board, board.corners_m(back))
+    middle = p.mean(axis=0)
+    cos = abs(T_color_board[:3, 2] @ middle) / np.linalg.norm(middle)
+    if (back and not board.two_sided) or p[:, 2].min() < 0.3 or cos < _MIN_COS:
+        return False
+    with np.errstate(all="ignore"):
+        px = own.intrinsics.project(p)
+    lens = own.intrinsics
+    inside = np.all((px > 5) & (px < np.array([lens.width, lens.height]) - 6))
+    # far outside the image the lens model folds back
+    return bool(inside and np.abs(p[:, :2] / p[:, 2:]).max() <= lens.width / lens.fx)
+
+
+def depth_of_board(
+    own: RigCamera,
+    px: FloatArray,
+    p: FloatArray,
+    normal: FloatArray,
+    board: Board,
+    noise: ViewNoise,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Reported depth (n,) at pixels (n, 2) that show points (n, 3) of a board with this normal (3,), with noise."""
+    z_m = _reported(own, px, p, normal)
+    u, v = np.moveaxis(board.corners_m() / np.ptp(board.corners_m(), axis=0).clip(1e-9), 1, 0)[:2] * 2 - 1
+    plane = np.stack([np.ones_like(u), u, v], axis=1) @ rng.normal(0, noise.k_plane_per_m, 3)
+    return np.asarray(z_m + (plane + rng.normal(0, noise.k_depth_per_m, len(z_m))) * z_m**2)
 
 
 def _reported(own: RigCamera, pixels_px: FloatArray, p_color: FloatArray, normal: FloatArray) -> FloatArray:

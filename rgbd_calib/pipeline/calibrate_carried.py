@@ -1,0 +1,75 @@
+"""From a recording of a carried board to a rig with clocks, as :func:`rgbd_calib.pipeline.calibrate.calibrate` gives it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from rgbd_calib.geometry.blas import one_blas_thread
+from rgbd_calib.io.files import plain
+from rgbd_calib.io.recording import Recording
+from rgbd_calib.io.rig import board_data
+from rgbd_calib.pipeline import details
+from rgbd_calib.pipeline.calibrate import Calibration, Views, provenance_of, reference_of, rig_of_bundle
+from rgbd_calib.pipeline.carried_calibration import clock_quality, solve_carried
+from rgbd_calib.pipeline.config import Config
+from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
+from rgbd_calib.pipeline.quality import bundle_quality, common_quality
+from rgbd_calib.pipeline.workers import Workers
+from rgbd_calib.rig.motion.estimate import frame_name
+from rgbd_calib.views.correspondence import correspond
+
+NOT_CHECKED = {
+    "check": "carried board",
+    "level": "caution",
+    "cameras": [],
+    "text": "The self-checks of the residuals and of held-out frames are not made for a carried board",
+    "advice": "Record a few still frames of the board, and run `rgbd-calib verify` on them",
+}
+
+
+@one_blas_thread
+def calibrate_carried(
+    recording: Recording,
+    config: Config,
+    *,
+    intrinsics: Path | None = None,
+    depth_bias: Path | None = None,
+    detections: Detections | None = None,
+    workers: Workers | None = None,
+    progress: Progress = silent,
+) -> Calibration:
+    """Calibrate a rig and the clocks of its cameras; parameters as for a synchronous recording.
+
+    Raises
+    ------
+    ConfigError, CalibrationError
+        See :func:`rgbd_calib.pipeline.carried_calibration.solve_carried`.
+    """
+    board, cameras = board_of(recording), list(recording.cameras)
+    reference = reference_of(config, cameras)
+    detections = detections or detect(recording, config.detect, workers, progress)
+    own = solve_carried(recording, config, detections, reference, intrinsics, depth_bias, workers, progress)
+    solved, boards = own.solution, own.board_poses()
+    rig = rig_of_bundle(solved, reference)
+    rig = replace(rig, cameras={c: replace(camera, clock=own.clocks[c]) for c, camera in rig.cameras.items()})
+    named = tuple(replace(p, view=replace(p.view, frame=frame_name(p))) for p in own.placed)
+    association = replace(own.start.association, views=own.placed)
+    views = Views(detections, own.lenses, own.depth, own.filtered, association)
+    data = correspond(named, board, own.lenses.intrinsics, own.depth.biases, cameras)
+    residuals, joint = details.residuals_of_bundle(solved, board), details.joint_of_bundle(solved)
+    found = replace(board, shape=solved.board_shape)
+    quality = {**bundle_quality(solved), **common_quality(recording, views, None), **clock_quality(own, reference)}
+    with_depth = [name for name in cameras if recording.depth_files[name]]
+    quality |= details.expectation(rig, joint, boards, board, with_depth)
+    quality |= {"board": board_data(found), "depth_bias_samples": own.depth.samples}
+    quality["self_check"] = {"trusted": True, "findings": [NOT_CHECKED], "tested": 0}
+    provenance = {
+        **provenance_of(config),
+        "recording": str(recording.path),
+        "recording_sha256": recording.digest(),
+        "intrinsics": own.lenses.origin,
+        "depth_bias": own.depth.origin,
+    }
+    rig = replace(rig, quality={"method": config.method, **plain(quality)}, provenance=provenance)
+    return Calibration(rig, views, named, data, boards, residuals, joint, None)
