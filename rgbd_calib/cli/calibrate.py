@@ -149,57 +149,38 @@ def command(
     page = report / "index.html" if report else None
     for path in filter(None, (output, left, correspondences, page)):
         refuse_existing(path, overwrite)
+    from rgbd_calib import api
     from rgbd_calib.io.correspondences import write_correspondences
     from rgbd_calib.io.recording import open_recording
-    from rgbd_calib.io.residuals import write_result
-    from rgbd_calib.pipeline.calibrate import calibrate, reference_of
     from rgbd_calib.pipeline.config import load_config
-    from rgbd_calib.pipeline.depth_cameras import split
-    from rgbd_calib.pipeline.detection import detections_from
-    from rgbd_calib.pipeline.prepare import check_sources, check_together
-    from rgbd_calib.pipeline.world import in_world
-    from rgbd_calib.trust.verdict import judge
 
     opened = open_recording(recording)
-    for remark in opened.remarks:
-        say(f"Warning: {remark}")
-    if world in opened.cameras:
-        if reference not in (None, world):
-            raise click.UsageError(f"--world {world} and --reference {reference}: one camera only can be the world")
-        reference, world = world, None
-    settings = load_config(
-        config,
-        method=method,
-        reference=reference,
-        seed=seed,
-        max_views=max_views,
-        refinement__sigma_2d_px=sigma_2d,
-        refinement__sigma_3d_m=sigma_3d,
-    )
+    if world in opened.cameras and reference not in (None, world):
+        raise click.UsageError(f"--world {world} and --reference {reference}: one camera only can be the world")
+    settings = load_config(config, method=method)
     if settings.method == "bundle" and not (sigma_2d is None and sigma_3d is None):
         raise ConfigError(
             "--sigma-2d, --sigma-3d: given with method bundle, which estimates the noise itself. "
             "Leave them out, or choose another --method"
         )
-    reference_of(settings, list(opened.cameras))
-    whole, opened = opened, split(opened)
-    check_together(opened)
-    check_sources(opened, intrinsics, depth_bias)
-    found = detections_from(opened, corners, settings.detect, workers, progress)
-    result = calibrate(
+    result = api.calibrate(
         opened,
-        settings,
         intrinsics=intrinsics,
         depth_bias=depth_bias,
-        detections=found,
+        reference=reference,
+        world=world,
+        corners=corners,
+        config=settings,
+        seed=seed,
+        max_views=max_views,
         workers=workers,
         progress=progress,
+        refinement__sigma_2d_px=sigma_2d,
+        refinement__sigma_3d_m=sigma_3d,
     )
-    if world is not None:
-        result = in_world(result, world, opened, settings.seed)
-    write_result(output, result.rig, result.boards, result.residuals)
+    result.rig.save(output)
     if correspondences:
-        write_correspondences(correspondences, result.correspondences)
+        write_correspondences(correspondences, result.calibration.correspondences)
     for line in describe(result.rig.quality):
         say(line)
     for name, camera in result.rig.cameras.items():
@@ -215,11 +196,9 @@ def command(
         show(f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m  {sure}")
     say(f"Wrote {output}, and the per-corner residuals to {left}")
     if report is not None:
-        from rgbd_calib.pipeline.report import write_report
-
-        say(f"Wrote {write_report(report, output.name, result.rig, result.boards, result.residuals, whole)}")
-    verdict = judge(result.rig.quality, ())
-    say(f"Verdict: {verdict.headline}")
+        say(f"Wrote {result.report(report, title=output.name)}")
+    verdict = result.verdict
+    say(f"Verdict: {verdict}")
     for own in result.rig.quality["self_check"]["findings"]:
         say(f"  {own['text']}. {own['advice']}.")
     if strict and verdict.level == "untrusted":

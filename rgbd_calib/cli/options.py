@@ -222,8 +222,6 @@ def _refuse_twice(path: Path, target: Path) -> None:
 
 def progress(items: Iterable[T], total: int, what: str) -> Iterator[T]:
     """The items, with a progress bar on stderr (none where stderr is not a terminal)."""
-    from rich.console import Console
-    from rich.progress import track
+    from rgbd_calib.pipeline.progress import bar
 
-    console = Console(stderr=True)
-    yield from track(items, description=what, total=total, console=console, disable=not console.is_terminal)
+    yield from bar(items, total, what)

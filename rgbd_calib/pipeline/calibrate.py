@@ -297,10 +297,16 @@ def provenance_of(config: Config) -> dict[str, Any]:
     return {
         "program": f"rgbd-calib {rgbd_calib.__version__}",
         "versions": details.versions(),
-        "command": shlex.join(["rgbd-calib", *sys.argv[1:]]),
+        "command": _command(),
         "seed": config.seed,
         "config": plain(as_plain(config)),
     }
+
+
+def _command() -> str:
+    """As it was typed; the name of the script where a Python program called."""
+    script = Path(sys.argv[0]).name
+    return shlex.join(["rgbd-calib" if script in ("__main__.py", "rgbd-calib.exe") else script, *sys.argv[1:]])
 
 
 def _refinement(config: Config) -> RefinementParams:

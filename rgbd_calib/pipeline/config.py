@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from difflib import get_close_matches
 from functools import cache
@@ -66,6 +67,21 @@ def load_config(path: Path | None, **over: Any) -> Config:
     _check_keys(Config, data, path, ())
     if "method" in data.get("refinement", {}):
         raise ConfigError(f"{where}: refinement.method: set by `method`, which names all estimators. Move it there")
+    return _validated(data, where, over)
+
+
+def with_settings(config: Config, over: Mapping[str, Any]) -> Config:
+    """The configuration with the given values over it, named as for :func:`load_config`.
+
+    Raises
+    ------
+    ConfigError
+        An unknown key (with a suggestion), or a value that does not fit.
+    """
+    return _validated(as_plain(config), "configuration", over)
+
+
+def _validated(data: dict[str, Any], where: str, over: Mapping[str, Any]) -> Config:
     for key, value in over.items():
         if value is not None:
             *sections, last = key.split("__")
@@ -73,6 +89,7 @@ def load_config(path: Path | None, **over: Any) -> Config:
             for section in sections:
                 into = into.setdefault(section, {})
             into[last] = value
+    _check_keys(Config, data, None, ())
     try:
         config = _adapter().validate_python(data)
     except ValidationError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import Any, Literal
 
 GOOD_MM, FAIR_MM = 3.0, 10.0
@@ -24,6 +25,14 @@ class Verdict:
     reasons: tuple[str, ...]
     """Sentences, the most important first."""
     next_steps: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return self.headline
+
+    def _repr_html_(self) -> str:
+        reasons = "".join(f"<li>{escape(text)}</li>" for text in self.reasons)
+        steps = "".join(f"<li>{escape(text)}</li>" for text in self.next_steps)
+        return f"<p><strong>{escape(self.headline)}</strong></p><ul>{reasons}</ul><p>Next:</p><ol>{steps}</ol>"
 
 
 def judge(quality: Mapping[str, Any], missing: Sequence[str], depth_noise_mm: float | None = None) -> Verdict:
