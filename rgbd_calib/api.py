@@ -27,6 +27,7 @@ from rgbd_calib.pipeline.calibrate import calibrate as run_calibration
 from rgbd_calib.pipeline.config import Config, Method, load_config, with_settings
 from rgbd_calib.pipeline.depth_cameras import split
 from rgbd_calib.pipeline.detection import Progress, detections_from, silent
+from rgbd_calib.pipeline.held_out_frames import frames_of_calibration, refuse_nothing_new
 from rgbd_calib.pipeline.prepare import check_sources, check_together
 from rgbd_calib.pipeline.progress import bar
 from rgbd_calib.pipeline.report import write_report
@@ -238,7 +239,7 @@ def verify(
     Raises
     ------
     ConfigError
-        A file is wrong, or the recording is not of this rig.
+        A file is wrong, the recording is not of this rig, or the rig was calibrated from all of its frames.
     CalibrationError
         No two cameras see the board in the same frame.
     """
@@ -246,9 +247,14 @@ def verify(
     known = rig if isinstance(rig, Rig) else read_rig(Path(rig))
     pool = _workers(workers)
     shown = bar if progress is True else progress or silent
+    used = frames_of_calibration(known, opened)
+    refuse_nothing_new(known, opened, used)
+    if used:
+        log.warning("Held out: %d of %d frames, which the rig was calibrated from", len(used), len(opened.frames))
     found = detections_from(opened, _path(corners), resolved.detect, pool, shown)
+    new = [view for view in found.views if view.frame not in used]
     params = VerdictParams() if max_mm is None else VerdictParams(max_m=max_mm / 1e3)
-    return run_verify(known, opened, found.views, resolved, params)
+    return run_verify(known, opened, new, resolved, params)
 
 
 def _opened(recording: Recording | str | Path) -> Recording:

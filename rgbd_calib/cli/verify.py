@@ -39,7 +39,7 @@ def command(
     """Check from a few new frames of the board whether RIG is still valid, and which camera moved.
 
     Lenses and depth biases are taken as they are; the cameras are posed anew by RECORDING and compared, pair by pair, at
-    the places where the board was, noise taken off. Five frames for each pair of neighbours are good. Where a camera
+    the places where the board was, noise taken off. Frames that the rig was calibrated from are held out. Five frames for each pair of neighbours are good. Where a camera
     moved, put it back by `calibrate --update --only`.
 
     \b
@@ -59,6 +59,7 @@ def command(
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.depth_cameras import split
     from rgbd_calib.pipeline.detection import detections_from
+    from rgbd_calib.pipeline.held_out_frames import frames_of_calibration, refuse_nothing_new
     from rgbd_calib.pipeline.rig_inputs import left_out
     from rgbd_calib.pipeline.verify import summary, verify
     from rgbd_calib.trust.displacement import VerdictParams
@@ -66,8 +67,13 @@ def command(
     rig, opened, settings = read_rig(rig_path), split(open_recording(recording)), load_config(config)
     if left_out(opened, rig):
         say(left_out(opened, rig))
+    used = frames_of_calibration(rig, opened)
+    refuse_nothing_new(rig, opened, used)
+    if used:
+        say(f"Held out: {len(used)} of {len(opened.frames)} frames, which the rig was calibrated from")
     found = detections_from(opened, corners, settings.detect, workers, progress)
-    result = verify(rig, opened, found.views, settings, VerdictParams(max_m=max_mm / 1e3))
+    new = [view for view in found.views if view.frame not in used]
+    result = verify(rig, opened, new, settings, VerdictParams(max_m=max_mm / 1e3))
     numbers = summary(result)
     if as_json:
         show(to_json(numbers, indent=2))

@@ -21,6 +21,7 @@ from rgbd_calib.rig.biobjective import RefinementParams
 from rgbd_calib.rig.initialization import InitializationParams
 from rgbd_calib.rig.setup import BundleParams
 from rgbd_calib.trust.self_check import SelfCheckParams
+from rgbd_calib.trust.verdict import VerdictLimits
 from rgbd_calib.views.association import AssociationParams
 from rgbd_calib.views.board_pose import BoardPoseParams
 from rgbd_calib.views.detect import DetectParams
@@ -50,6 +51,7 @@ class Config:
     refinement: RefinementParams = field(default_factory=RefinementParams)
     bundle: BundleParams = field(default_factory=BundleParams)
     self_check: SelfCheckParams = field(default_factory=SelfCheckParams)
+    verdict: VerdictLimits = field(default_factory=VerdictLimits)
 
 
 def load_config(path: Path | None, **over: Any) -> Config:

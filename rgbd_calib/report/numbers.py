@@ -12,7 +12,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.residuals import Residuals
 from rgbd_calib.io.rig import board_in
-from rgbd_calib.trust.verdict import Verdict, judge
+from rgbd_calib.trust.verdict import Verdict, judge, limits_in
 from rgbd_calib.types import Board, BoardView, Rig
 from rgbd_calib.views.coverage import Coverage, CoverageParams, measure_coverage
 
@@ -155,7 +155,7 @@ def coverage_of_rig(rig: Rig, residuals: Residuals | None) -> Coverage | None:
 def verdict_of(rig: Rig, residuals: Residuals | None) -> Verdict:
     """Whether to trust a rig: the same in the terminal, in Python and in the report."""
     coverage = coverage_of_rig(rig, residuals)
-    return judge(rig.quality, coverage.missing if coverage else (), depth_noise_mm(rig))
+    return judge(rig.quality, coverage.missing if coverage else (), depth_noise_mm(rig), limits_in(rig.provenance))
 
 
 def depth_noise_mm(rig: Rig) -> float | None:

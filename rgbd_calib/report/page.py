@@ -18,7 +18,7 @@ from rgbd_calib.io.rig import board_in
 from rgbd_calib.report import figures, numbers
 from rgbd_calib.report.figures import Figure, css_color
 from rgbd_calib.report.scene import scene
-from rgbd_calib.trust.verdict import FAIR_MM, GOOD_MM, NOISE_FACTOR
+from rgbd_calib.trust.verdict import USUAL_M, limits_in
 from rgbd_calib.types import Board, Rig
 from rgbd_calib.views.coverage import Coverage, CoverageParams
 
@@ -80,7 +80,7 @@ def render(contents: Contents) -> str:
         quality=quality,
         provenance=rig.provenance,
         verdict=numbers.verdict_of(rig, left),
-        limits={"good": GOOD_MM, "fair": FAIR_MM, "noise": NOISE_FACTOR},
+        limits=_limits(rig),
         colors={name: css_color(i) for i, name in enumerate(rig.cameras)},
         poses=_poses(rig),
         pairs=_pair_rows(quality),
@@ -97,6 +97,11 @@ def render(contents: Contents) -> str:
         plotly=get_plotlyjs(),
         config=to_json(rig.provenance.get("config", {}), indent=1),
     )
+
+
+def _limits(rig: Rig) -> dict[str, float]:
+    own, at_m = limits_in(rig.provenance), float(rig.quality.get("working_distance_m", USUAL_M))
+    return {"good": own.good_mm(at_m), "fair": own.fair_mm(at_m), "noise": own.noise_factor, "at_m": at_m}
 
 
 def _scene(contents: Contents, board: Board | None) -> Figure:
