@@ -243,7 +243,7 @@ def verify(
     CalibrationError
         No two cameras see the board in the same frame.
     """
-    opened, resolved = _opened(recording), _config(config, {})
+    opened, resolved = split(_opened(recording)), _config(config, {})
     known = rig if isinstance(rig, Rig) else read_rig(Path(rig))
     pool = _workers(workers)
     shown = bar if progress is True else progress or silent
