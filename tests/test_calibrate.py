@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -169,6 +170,19 @@ def test_matched_features_go_on_to_refine(run, three, tmp_path):
     for name, camera in first.cameras.items():
         np.testing.assert_allclose(again.cameras[name].T_world_color, camera.T_world_color, atol=1e-9)
     assert "sigma_2D" in out.stderr
+
+
+def test_the_end_says_all_that_matters_and_json_gives_it_to_programs(run, three, tmp_path):
+    given = ("--intrinsics", three.intrinsics, "--corners", three.corners)
+    out = run("calibrate", three.path, *given, "-o", tmp_path / "a.yaml")
+    for words in ("Expected error: ", "Measured on this recording: ", "Verdict: Good"):
+        assert words in out.stderr, words
+    assert "views, 0." in out.stdout and "reference" in out.stdout
+    common = ("calibrate", three.path, *given, "--json", "--quiet")
+    out = run(*common, "-o", tmp_path / "b.yaml")
+    numbers = json.loads(out.stdout)
+    assert out.stderr == "" and numbers["verdict"] == "good"
+    assert set(numbers["cameras"]) == set(read_rig(tmp_path / "b.yaml").cameras)
 
 
 def test_refine_is_judged_in_millimetres(run, three, tmp_path):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -11,6 +11,8 @@ from rgbd_calib.cli.options import (
     OUTPUT,
     config_option,
     corners_option,
+    give,
+    json_option,
     method_options,
     output_option,
     overwrite_option,
@@ -66,6 +68,7 @@ if TYPE_CHECKING:
     metavar="N",
     help="Frames of the board to use at most (the most informative); what the others would add is said.  [default: all]",
 )
+@json_option
 @config_option
 @workers_options
 @overwrite_option
@@ -153,6 +156,7 @@ def command(
     from rgbd_calib.io.correspondences import write_correspondences
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.pipeline.config import load_config
+    from rgbd_calib.pipeline.summary import block, course, numbers_of, truth_beside
 
     opened = open_recording(recording)
     if world in opened.cameras and reference not in (None, world):
@@ -181,50 +185,17 @@ def command(
     result.rig.save(output)
     if correspondences:
         write_correspondences(correspondences, result.calibration.correspondences)
-    for line in describe(result.rig.quality):
+    for line in course(result.rig.quality):
         say(line)
-    for name, camera in result.rig.cameras.items():
-        sd = camera.covariance.diagonal() ** 0.5
-        sure = (
-            "reference"
-            if name == result.rig.reference
-            else f"± {1e3 * max(sd[3:]):.2f} mm, ± {57.3 * max(sd[:3]):.3f}°"
-            if sd.any()
-            else ""
-        )
-        x, y, z = camera.T_world_color[:3, 3]
-        show(f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m  {sure}")
+    verdict, truth = result.verdict, truth_beside(opened, result.rig)
     say(f"Wrote {output}, and the per-corner residuals to {left}")
     if report is not None:
-        say(f"Wrote {result.report(report, title=output.name)}")
-    verdict = result.verdict
-    say(f"Verdict: {verdict}")
-    for own in result.rig.quality["self_check"]["findings"]:
-        say(f"  {own['text']}. {own['advice']}.")
+        say(f"Report: {result.report(report, title=output.name)}")
+    rows, lines = block(result.rig, verdict, result.rig.residuals, truth)
+    for row in rows:
+        show(row)
+    for line in lines:
+        say(line, always=verdict.level in ("poor", "untrusted"))
+    give(numbers_of(result.rig, verdict, truth))
     if strict and verdict.level == "untrusted":
         click.get_current_context().exit(1)
-
-
-def describe(quality: dict[str, Any]) -> list[str]:
-    """What a person at the rig wants to know, from the rig's quality."""
-    from rgbd_calib.pipeline.frame_selection import told
-
-    lines = []
-    used, images = quality.get("views_used", {}), quality.get("images", {})
-    if used:
-        lines.append("Views used: " + ", ".join(f"{name} {used[name]} of {images[name]} images" for name in used))
-    if selected := told(quality):
-        lines.append(selected)
-    for key, what in (("views_not_associated", "left out"), ("dropped", "dropped")):
-        for name, frames in quality.get(key, {}).items():
-            lines += [f"{name}: frame {frame} {what}: {why}" for frame, why in frames.items()]
-    lines += quality.get("not_observable", [])
-    on_own = quality.get("alignment_on_recording", {}).get("all", {})
-    if "median_mm" in on_own:
-        lines.append(
-            f"Two cameras put the same corner {on_own['median_mm']:.2f} mm apart in the median "
-            f"({on_own['mean_mm']:.2f} mm in the mean), on this recording, including single-reading depth noise"
-        )
-    if "status" in quality:
-        lines.append(f"{quality['method']}: {quality['message']}")
-    return lines

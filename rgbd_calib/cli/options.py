@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from rgbd_calib.cli.streams import give as give
+from rgbd_calib.cli.streams import json_option as json_option
 from rgbd_calib.cli.streams import say as say
 from rgbd_calib.cli.streams import show as show
 from rgbd_calib.errors import ConfigError

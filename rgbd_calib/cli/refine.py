@@ -8,6 +8,8 @@ import click
 
 from rgbd_calib.cli.options import (
     config_option,
+    give,
+    json_option,
     method_options,
     output_option,
     overwrite_option,
@@ -23,6 +25,7 @@ from rgbd_calib.cli.options import (
 @output_option("rig.yaml")
 @method_options(("init", "ba", "icp", "baicp+", "biobjective"))
 @click.option("--strict", is_flag=True, help="Exit with status 1 if the self-checks fail. The rig is written.")
+@json_option
 @config_option
 @overwrite_option
 def command(
@@ -59,6 +62,7 @@ def command(
     from rgbd_calib.pipeline.calibrate import provenance_of, reference_of, refine_correspondences
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.prepare import given_intrinsics
+    from rgbd_calib.pipeline.summary import numbers_of
     from rgbd_calib.report.numbers import verdict_of
 
     settings = load_config(
@@ -87,7 +91,8 @@ def command(
         )
     say(f"Wrote {output}")
     verdict = verdict_of(rig, None)
-    say(f"Verdict: {verdict}")
+    say(f"Verdict: {verdict}", always=verdict.level in ("poor", "untrusted"))
+    give(numbers_of(rig, verdict, None))
     for own in rig.quality.get("self_check", {}).get("findings", []):
         say(f"  {own['text']}. {own['advice']}.")
     if strict and verdict.level == "untrusted":
