@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.depth_error import DepthBias as DepthBias
 from rgbd_calib.geometry.depth_error import DepthField as DepthField
@@ -195,6 +196,16 @@ class RigCamera:
     clock: Clock | None = None
     """None: its stamps are not related to the others'."""
 
+    def project(self, points_m: FloatArray) -> FloatArray:
+        """Pixels (..., 2) of points (..., 3), metres, in the world; NaN behind the camera.
+
+        Pixels may lie outside the image: compare with `intrinsics.size_px`.
+        """
+        p_color = se3.transform(se3.inverse(self.T_world_color), np.asarray(points_m, float))
+        with np.errstate(all="ignore"):
+            pixels = self.intrinsics.project(p_color)
+        return np.where(p_color[..., 2:] > 0, pixels, np.nan)
+
     @property
     def depth_sensor(self) -> DepthSensor:
         """Its depth sensor, as far as it is known."""
@@ -214,6 +225,11 @@ class Rig:
     cameras: dict[str, RigCamera]
     quality: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __getitem__(self, camera: str) -> RigCamera:
+        if camera not in self.cameras:
+            raise KeyError(f"no camera {camera!r} in this rig; it has {', '.join(self.cameras)}")
+        return self.cameras[camera]
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ ORDER = (
     "trust",
     "report",
     "pipeline",
+    "api",
     "cli",
 )
 FILES = sorted(path for path in ROOT.rglob("*.py") if path.parent != ROOT or path.stem in ORDER)

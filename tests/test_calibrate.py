@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -169,6 +170,47 @@ def test_matched_features_go_on_to_refine(run, three, tmp_path):
     for name, camera in first.cameras.items():
         np.testing.assert_allclose(again.cameras[name].T_world_color, camera.T_world_color, atol=1e-9)
     assert "sigma_2D" in out.stderr
+
+
+def test_the_end_says_all_that_matters_and_json_gives_it_to_programs(run, three, tmp_path):
+    given = ("--intrinsics", three.intrinsics, "--corners", three.corners)
+    out = run("calibrate", three.path, *given, "-o", tmp_path / "a.yaml")
+    for words in ("Expected error: ", "Measured on this recording: ", "Verdict: Good"):
+        assert words in out.stderr, words
+    assert "views, 0." in out.stdout and "reference" in out.stdout
+    common = ("calibrate", three.path, *given, "--json", "--quiet")
+    out = run(*common, "-o", tmp_path / "b.yaml")
+    numbers = json.loads(out.stdout)
+    assert out.stderr == "" and numbers["verdict"] == "good"
+    assert set(numbers["cameras"]) == set(read_rig(tmp_path / "b.yaml").cameras)
+
+
+def test_refine_is_judged_in_millimetres(run, three, tmp_path):
+    """A depth that is 2 % too long is 40 mm off at 2 m: the rig may be written, but not as a good one."""
+    c = tmp_path / "c.csv"
+    calibrated(run, three, tmp_path / "rig.yaml", "--method", "init", "--correspondences", c)
+    given = ("--intrinsics", three.intrinsics)
+    out = run("refine", c, *given, "-o", tmp_path / "right.yaml")
+    assert out.status == 0 and "Verdict: Good" in out.stderr
+    quality = read_rig(tmp_path / "right.yaml").quality
+    assert 1 < quality["working_distance_m"] < 3 and quality["expected_alignment"]["of"].startswith("poses alone")
+    head, *rows = c.read_text().splitlines()
+    at = head.split(",").index("x_m")
+    spoilt = [row.split(",") for row in rows]
+    for row in spoilt:
+        if row[0] == "C2" and row[at]:
+            row[at:] = [str(1.02 * float(value)) for value in row[at:]]
+    (tmp_path / "spoilt.csv").write_text("\n".join([head, *map(",".join, spoilt)]) + "\n")
+    out = run("refine", tmp_path / "spoilt.csv", *given, "-o", tmp_path / "wrong.yaml")
+    assert out.status == 0 and "Verdict: " in out.stderr and "Verdict: Good" not in out.stderr
+    assert read_rig(tmp_path / "wrong.yaml").quality["alignment_on_recording"]["all"]["median_mm"] > 6
+
+
+def test_colour_alone_gets_pixels_and_millimetres_at_the_board(run, tmp_path):
+    recording = make_recording(tmp_path, arc(3), color_only=["C1", "C2", "C3"])
+    rig = calibrated(run, recording, tmp_path / "rig.yaml")
+    measured = rig.quality["alignment_on_recording"]["all"]
+    assert 0 < measured["median_px"] < 1 and 0 < measured["median_board_mm"] < 3 and "median_mm" not in measured
 
 
 @pytest.mark.parametrize("method", ["init", "ba", "icp", "baicp+"])

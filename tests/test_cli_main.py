@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 from rgbd_calib.cli.main import COMMANDS
+from rgbd_calib.pipeline.summary import merged
 
 
 def test_help_lists_the_commands_in_the_order_of_the_work(run):
@@ -19,6 +20,35 @@ def test_a_misspelt_command_is_a_usage_error_with_a_suggestion(run):
     assert outcome.status == 2
     assert "did you mean 'calibrate'?" in outcome.stderr
     assert "Traceback" not in outcome.stderr
+
+
+def test_without_a_command_it_says_where_to_start(run):
+    outcome = run()
+    assert outcome.status == 2 and outcome.stdout == ""
+    assert "Where to start:" in outcome.stderr and "rgbd-calib simulate demo" in outcome.stderr
+
+
+def test_every_command_can_be_quiet_and_keep_a_log(run):
+    for name in COMMANDS:
+        text = run(name, "--help").stdout
+        assert "--quiet" in text and "--log-file" in text, name
+
+
+def test_quiet_says_only_what_is_wrong_and_the_log_has_all(run, tiny, tmp_path):
+    log = tmp_path / "log.txt"
+    common = ("fuse", tiny.recording, "--rig", tiny.rig_path, "--frame", "000000", "-o", tmp_path / "a.ply")
+    out = run(*common, "--quiet", "--log-file", log)
+    assert out.status == 0 and out.stderr == ""
+    assert "points of 2 cameras" in log.read_text() and log.read_text()[:2] == "20"
+    out = run(*common, "--quiet")
+    assert out.status == 2 and "exists already" in out.stderr
+    bad = run(*common, "--overwrite", "--log-file", tmp_path / "none" / "log.txt")
+    assert bad.status == 2 and "cannot be written" in bad.stderr
+
+
+def test_the_same_remark_for_several_cameras_is_one_line():
+    said = [f"{name}'s fx is held: film more" for name in ("C1", "C10", "C2")] + ["C1: late", "The board moved"]
+    assert merged(said, ["C1", "C2", "C10"]) == ["C1, C10, C2's fx is held: film more", "C1: late", "The board moved"]
 
 
 def test_help_imports_nothing_heavy():

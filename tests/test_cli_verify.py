@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -86,6 +87,26 @@ def test_verify_names_the_camera_that_moved(run, drawn, tmp_path, name):
 def test_verify_says_what_is_wrong_with_its_input(run, drawn, tmp_path):
     assert run("verify", tmp_path / "none.yaml", *arguments(drawn)).status == 2
     assert run("verify", drawn / "rig.yaml", *arguments(drawn), "--max-mm", 0).status == 2
+
+
+def test_frames_that_the_rig_was_calibrated_from_prove_nothing(run, drawn, tmp_path):
+    given = ("--intrinsics", drawn / "intrinsics.yaml")
+    assert run("calibrate", *arguments(drawn), *given, "-o", tmp_path / "rig.yaml").status == 0
+    same = run("verify", tmp_path / "rig.yaml", *arguments(drawn))
+    assert same.status == 2 and "all 7 frames were used to calibrate this rig" in same.stderr
+    # the same images under other names, beside new ones: only the new ones count
+    mixed = draw_recording(tmp_path / "mixed", cameras=3, frames=5, seed=9)
+    for name in ("C1", "C2", "C3"):
+        for kind in ("color", "depth"):
+            shutil.copy(drawn / "recording" / name / kind / "000003.png", mixed / name / kind / "100003.png")
+    out = run("verify", tmp_path / "rig.yaml", mixed, "--json")
+    assert out.status == 0 and json.loads(out.stdout)["frames"] == 5
+    assert "Held out: 1 of 6 frames" in out.stderr
+    # a rig file from before images were hashed is compared as a whole
+    rig = read_rig(tmp_path / "rig.yaml")
+    del rig.provenance["images_sha256"]
+    write_rig(tmp_path / "old.yaml", rig)
+    assert run("verify", tmp_path / "old.yaml", *arguments(drawn)).status == 2
 
 
 @pytest.mark.parametrize("name", ["C1", "C2"])

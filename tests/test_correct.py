@@ -7,14 +7,14 @@ import cv2
 import numpy as np
 import pytest
 
-from rgbd_calib.geometry import se3
+from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics, project, unproject
 from rgbd_calib.io.files import dump_yaml, load_yaml
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_rig, write_rig
 from rgbd_calib.pipeline.correct import correct_depth, undistort_map
 from rgbd_calib.pipeline.fuse import FuseParams, clouds_of
-from rgbd_calib.types import DepthBias, RigCamera
+from rgbd_calib.types import DepthBias, DepthCamera, RigCamera
 
 
 def corrected(run, tiny, out, *more):
@@ -72,6 +72,37 @@ def test_the_rig_beside_it_gives_the_same_cloud(run, tiny, tmp_path):
     after = clouds_of(open_recording(tmp_path / "out"), read_rig(tmp_path / "out" / "rig.yaml"), *args)
     for a, b in zip(before, after, strict=True):
         assert np.abs(a.points_m - b.points_m).max() < 0.00025 * 1.2 + 1e-9  # half a unit along the longest ray
+
+
+@pytest.fixture
+def unregistered(tiny, tmp_path):
+    """The tiny recording, its depth that of a camera with another lens, beside the colour camera; and its rig."""
+    shutil.copytree(tiny.recording, tmp_path / "own")
+    lens = Intrinsics(64, 48, 58.0, 58.5, 30.0, 24.5, (0.02, 0.0, 0.0, 0.0, 0.0))
+    depth = DepthCamera(lens, se3.make(so3.exp(np.array([0.01, -0.02, 0.0])), np.array([0.03, 0.0, 0.002])))
+    rig = read_rig(tiny.rig_path)
+    cameras = {n: replace(c, depth_camera=depth if n != "C3" else None) for n, c in rig.cameras.items()}
+    write_rig(tmp_path / "own.yaml", replace(rig, cameras=cameras))
+    return tmp_path / "own", tmp_path / "own.yaml"
+
+
+def test_depth_in_its_own_geometry_gives_the_same_cloud(run, unregistered, tmp_path):
+    recording, rig_path = unregistered
+    common = ("correct", recording, "--rig", rig_path, "-o", tmp_path / "out", "--geometry", "depth")
+    assert run(*common, "--undistort").status == 2
+    out = run(*common)
+    assert out.status == 0, out.stderr
+    after, rig = open_recording(tmp_path / "out"), read_rig(tmp_path / "out" / "rig.yaml")
+    info = after.cameras["C1"]
+    assert info.depth is not None and info.depth.intrinsics == rig.cameras["C1"].depth_camera.intrinsics
+    np.testing.assert_allclose(info.depth.T_color_depth, rig.cameras["C1"].depth_camera.T_color_depth, atol=1e-12)
+    assert rig.cameras["C1"].depth_bias is None
+    args = "000000", FuseParams(jump=np.inf)
+    before = clouds_of(open_recording(recording), read_rig(rig_path), *args)
+    for a, b in zip(before, clouds_of(after, rig, *args), strict=True):
+        assert np.abs(a.points_m - b.points_m).max() < 0.00025 * 1.3 + 1e-9  # half a unit along the longest ray
+    again = run("correct", tmp_path / "out", "--rig", rig_path, "-o", tmp_path / "twice")
+    assert again.status == 2 and "removed from this recording already" in again.stderr
 
 
 def test_undistorted_depth_lies_on_the_surface_seen_through_a_pinhole(run, tiny, tmp_path):

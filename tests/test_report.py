@@ -17,11 +17,13 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.residuals import Residuals, read_residuals, residuals_path, write_residuals
 from rgbd_calib.io.rig import board_in, read_boards, read_rig, write_intrinsics
 from rgbd_calib.report import numbers
-from rgbd_calib.trust.verdict import FAIR_MM, GOOD_MM, NOISE_FACTOR, judge
+from rgbd_calib.trust.verdict import VerdictLimits, judge, limits_in
 
 CAMERAS = ("C1", "C2", "C3")
 FRAMES = 6
 LIMIT_BYTES = 8_000_000
+LIMITS = VerdictLimits()
+GOOD_MM, FAIR_MM, NOISE_FACTOR = LIMITS.good_mm(2.0), LIMITS.fair_mm(2.0), LIMITS.noise_factor
 
 
 @pytest.fixture(scope="module")
@@ -212,6 +214,25 @@ def test_the_worse_of_expected_and_measured_decides(expected, measured, level):
     assert verdict.headline.startswith(level.capitalize())
     assert f"{expected:.1f} mm" in verdict.headline
     assert any("C1 - C2" in step for step in verdict.next_steps) == (level != "good")
+
+
+@pytest.mark.parametrize(("distance_m", "level"), [(0.5, "fair"), (1.0, "good"), (4.0, "good")])
+def test_limits_are_shares_of_the_working_distance_and_are_said(distance_m, level):
+    expected = {"mean_mm": 1.5, "of": "poses, intrinsics, depth bias", "pairs": {"C1 - C2": {"mean_mm": 1.5}}}
+    verdict = judge({"expected_alignment": expected, "working_distance_m": distance_m}, ())
+    assert verdict.level == level
+    assert any(f"working distance of {distance_m:.1f} m: good up to" in reason for reason in verdict.reasons)
+    strict = limits_in({"config": {"verdict": {"good_share": 1e-5, "fair_share": 2e-5, "other": "x"}}})
+    assert judge({"expected_alignment": expected}, (), None, strict).level == "poor"
+
+
+def test_colour_alone_is_judged_by_pixels_at_the_board():
+    measured = {"all": {"median_px": 0.2, "median_board_mm": 0.4}}
+    verdict = judge({"alignment_on_recording": measured, "working_distance_m": 2.0}, ())
+    assert verdict.level == "good" and "0.40 mm apart at the board" in verdict.headline
+    assert any("0.20 px off" in reason for reason in verdict.reasons)
+    bad = {"all": {"median_px": 9.0, "median_board_mm": 40.0}}
+    assert judge({"alignment_on_recording": bad}, ()).level == "poor"
 
 
 def test_a_camera_on_a_thread_is_fair_at_best():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -11,6 +11,8 @@ from rgbd_calib.cli.options import (
     OUTPUT,
     config_option,
     corners_option,
+    give,
+    json_option,
     method_options,
     output_option,
     overwrite_option,
@@ -73,6 +75,7 @@ if TYPE_CHECKING:
     metavar="N",
     help="Frames of the board to use at most (the most informative); what the others would add is said.  [default: all]",
 )
+@json_option
 @config_option
 @workers_options
 @overwrite_option
@@ -172,90 +175,56 @@ def command(
     page = report / "index.html" if report else None
     for path in filter(None, (output, left, correspondences, page)):
         refuse_existing(path, overwrite)
+    from rgbd_calib import api
     from rgbd_calib.io.correspondences import write_correspondences
-    from rgbd_calib.io.residuals import write_result
-    from rgbd_calib.pipeline.calibrate import calibrate, reference_of
-    from rgbd_calib.pipeline.calibrate_carried import calibrate_carried
-    from rgbd_calib.pipeline.carried_calibration import check_possible
     from rgbd_calib.pipeline.config import load_config
-    from rgbd_calib.pipeline.depth_cameras import split
-    from rgbd_calib.pipeline.detection import detections_from
-    from rgbd_calib.pipeline.prepare import check_sources, check_together
-    from rgbd_calib.pipeline.world import in_world
-    from rgbd_calib.trust.verdict import judge
+    from rgbd_calib.pipeline.summary import block, course, numbers_of, truth_beside
 
     opened = open_recording(recording)
-    for remark in opened.remarks:
-        say(f"Warning: {remark}")
-    if world in opened.cameras:
-        if reference not in (None, world):
-            raise click.UsageError(f"--world {world} and --reference {reference}: one camera only can be the world")
-        reference, world = world, None
-    settings = load_config(
-        config,
-        method=method,
-        reference=reference,
-        seed=seed,
-        max_views=max_views,
-        refinement__sigma_2d_px=sigma_2d,
-        refinement__sigma_3d_m=sigma_3d,
-    )
+    if world in opened.cameras and reference not in (None, world):
+        raise click.UsageError(f"--world {world} and --reference {reference}: one camera only can be the world")
+    settings = load_config(config, method=method)
     if settings.method == "bundle" and not (sigma_2d is None and sigma_3d is None):
         raise ConfigError(
             "--sigma-2d, --sigma-3d: given with method bundle, which estimates the noise itself. "
             "Leave them out, or choose another --method"
         )
-    reference_of(settings, list(opened.cameras))
-    whole, opened = opened, split(opened)
-    if opened.synchronous:
-        check_together(opened)
-    else:
-        check_possible(opened, settings)
-    check_sources(opened, intrinsics, depth_bias)
-    found = detections_from(opened, corners, settings.detect, workers, progress)
-    run = calibrate if opened.synchronous else calibrate_carried
-    result = run(
+    result = api.calibrate(
         opened,
-        settings,
         intrinsics=intrinsics,
         depth_bias=depth_bias,
-        detections=found,
+        reference=reference,
+        world=world,
+        corners=corners,
+        config=settings,
+        seed=seed,
+        max_views=max_views,
         workers=workers,
         progress=progress,
+        refinement__sigma_2d_px=sigma_2d,
+        refinement__sigma_3d_m=sigma_3d,
     )
-    if world is not None:
-        result = in_world(result, world, opened, settings.seed)
-    write_result(output, result.rig, result.boards, result.residuals)
+    result.rig.save(output)
     if correspondences:
-        write_correspondences(correspondences, result.correspondences)
-    for line in describe(result.rig.quality):
+        write_correspondences(correspondences, result.calibration.correspondences)
+    for line in course(result.rig.quality):
         say(line)
-    for name, camera in result.rig.cameras.items():
-        sd = camera.covariance.diagonal() ** 0.5
-        sure = (
-            "reference"
-            if name == result.rig.reference
-            else f"± {1e3 * max(sd[3:]):.2f} mm, ± {57.3 * max(sd[:3]):.3f}°"
-            if sd.any()
-            else ""
-        )
-        x, y, z = camera.T_world_color[:3, 3]
-        show(f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m  {sure}")
     for line in clock_lines(result.rig):
         show(line)
+    verdict, truth = result.verdict, truth_beside(opened, result.rig)
     say(f"Wrote {output}, and the per-corner residuals to {left}")
     if snapshot is not None:
         with whole_folder(kept, overwrite) as folder:
             size = keep_snapshot(folder, empty)
         say(f"Kept the snapshot in {kept}, {size / 1e6:.1f} MB: `rgbd-calib verify {output} NEW` compares with it")
     if report is not None:
-        from rgbd_calib.pipeline.report import write_report
-
-        say(f"Wrote {write_report(report, output.name, result.rig, result.boards, result.residuals, whole)}")
-    verdict = judge(result.rig.quality, ())
-    say(f"Verdict: {verdict.headline}")
-    for own in result.rig.quality["self_check"]["findings"]:
-        say(f"  {own['text']}. {own['advice']}.")
+        say(f"Report: {result.report(report, title=output.name)}")
+    rows, lines = block(result.rig, verdict, result.rig.residuals, truth)
+    for row in rows:
+        show(row)
+    for line in lines:
+        say(line, always=verdict.level in ("poor", "untrusted"))
+    give(numbers_of(result.rig, verdict, truth))
     if strict and verdict.level == "untrusted":
         click.get_current_context().exit(1)
 
@@ -265,28 +234,3 @@ def clock_lines(rig: Rig) -> list[str]:
     from rgbd_calib.cli.sync import clock_line
 
     return [clock_line(c, own.clock, rig.reference) for c, own in rig.cameras.items() if own.clock is not None]
-
-
-def describe(quality: dict[str, Any]) -> list[str]:
-    """What a person at the rig wants to know, from the rig's quality."""
-    from rgbd_calib.pipeline.frame_selection import told
-
-    lines = []
-    used, images = quality.get("views_used", {}), quality.get("images", {})
-    if used:
-        lines.append("Views used: " + ", ".join(f"{name} {used[name]} of {images[name]} images" for name in used))
-    if selected := told(quality):
-        lines.append(selected)
-    for key, what in (("views_not_associated", "left out"), ("dropped", "dropped")):
-        for name, frames in quality.get(key, {}).items():
-            lines += [f"{name}: frame {frame} {what}: {why}" for frame, why in frames.items()]
-    lines += quality.get("not_observable", [])
-    on_own = quality.get("alignment_on_recording", {}).get("all", {})
-    if "median_mm" in on_own:
-        lines.append(
-            f"Two cameras put the same corner {on_own['median_mm']:.2f} mm apart in the median "
-            f"({on_own['mean_mm']:.2f} mm in the mean), on this recording, including single-reading depth noise"
-        )
-    if "status" in quality:
-        lines.append(f"{quality['method']}: {quality['message']}")
-    return lines

@@ -21,10 +21,25 @@ from rgbd_calib.cli.options import (
 @recording_argument
 @click.option("--rig", "rig_path", type=click.Path(path_type=Path), required=True, help="The rig file.")
 @click.option("--undistort", is_flag=True, help="Also undistort colour and depth, to pinholes with the same K.")
+@click.option(
+    "--geometry",
+    type=click.Choice(["color", "depth"]),
+    default="color",
+    show_default=True,
+    help="Geometry of the corrected depth: of the colour image, or its own, with its calibration in dataset.yaml.",
+)
 @jobs_option
 @output_option("the corrected recording, a folder")
 @overwrite_option
-def command(recording: Path, rig_path: Path, undistort: bool, jobs: int | None, output: Path, overwrite: bool) -> None:
+def command(
+    recording: Path,
+    rig_path: Path,
+    undistort: bool,
+    geometry: str,
+    jobs: int | None,
+    output: Path,
+    overwrite: bool,
+) -> None:
     """Remove depth bias and distortion from a recording.
 
     Distortion only with --undistort. OUT is a recording like the one it was made from, with the intrinsics in its dataset.yaml, and with a rig.yaml that
@@ -35,8 +50,11 @@ def command(recording: Path, rig_path: Path, undistort: bool, jobs: int | None, 
     Examples:
       rgbd-calib correct demo/extrinsic --rig demo/rig.yaml -o demo/corrected
       rgbd-calib correct demo/extrinsic --rig demo/rig.yaml --undistort -o demo/pinhole
+      rgbd-calib correct demo/extrinsic --rig demo/rig.yaml --geometry depth -o demo/own_geometry
       rgbd-calib fuse demo/pinhole --rig demo/pinhole/rig.yaml -o demo/pinhole.ply
     """
+    if undistort and geometry == "depth":
+        raise click.UsageError("--undistort needs --geometry color: depth in its own geometry keeps its lens")
     refuse_existing(output, overwrite, folder=True)
 
     from rgbd_calib.io.files import whole_folder
@@ -51,7 +69,7 @@ def command(recording: Path, rig_path: Path, undistort: bool, jobs: int | None, 
     if left_out(opened, rig):
         say(left_out(opened, rig))
     with whole_folder(output, overwrite) as folder:
-        summary = correct(opened, rig, folder, undistort, jobs, progress)
+        summary = correct(opened, rig, folder, undistort, geometry, jobs, progress)  # type: ignore[arg-type]
     say(f"Corrected recording, and its rig.yaml -> {output}")
     for camera, done in summary.items():
         bias = "no depth bias in the rig" if rig.cameras[camera].depth_bias is None else "bias removed"

@@ -14,7 +14,7 @@ from types import FrameType
 
 import click
 
-from rgbd_calib.cli.streams import results_apart, say, standard_streams
+from rgbd_calib.cli.streams import common_options, results_apart, say, standard_streams
 from rgbd_calib.errors import RgbdCalibError
 
 COMMANDS = (
@@ -47,6 +47,19 @@ COMMANDS = (
 """In the order of the work. Command `a-b` is `command` in module `rgbd_calib.cli.a_b` (`import_` for `import`)."""
 
 
+START = """Where to start:
+
+  without cameras        rgbd-calib simulate demo
+                         rgbd-calib calibrate demo/extrinsic -o demo/rig.yaml --report demo/report
+  with cameras           rgbd-calib devices
+                         rgbd-calib capture rig1 --board 9x6 --square 0.06
+  with a recording       rgbd-calib doctor RECORDING
+                         rgbd-calib calibrate RECORDING -o rig.yaml --report report
+  images in a folder     rgbd-calib init FOLDER
+
+All commands: rgbd-calib --help. One of them: rgbd-calib COMMAND --help."""
+
+
 def _module(name: str) -> str:
     return "rgbd_calib.cli." + ("import_" if name == "import" else name.replace("-", "_"))
 
@@ -61,6 +74,7 @@ class _Commands(click.Group):
         command: click.Command = copy.copy(importlib.import_module(_module(name)).command)
         assert command.callback is not None
         command.callback = results_apart(command.callback)
+        command.params = [*command.params, *common_options()]
         return command
 
     def resolve_command(
@@ -76,9 +90,14 @@ class _Commands(click.Group):
         return super().resolve_command(ctx, args)
 
 
-@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(
+    cls=_Commands,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
 @click.version_option(package_name="rgbd-calib")
-def cli() -> None:
+@click.pass_context
+def cli(context: click.Context) -> None:
     """Calibrate a rig of RGB-D cameras: poses, intrinsics and depth bias, with the error in millimetres.
 
     \b
@@ -94,6 +113,9 @@ def cli() -> None:
       rgbd-calib simulate demo
       rgbd-calib calibrate demo/extrinsic -o demo/rig.yaml
     """
+    if context.invoked_subcommand is None:
+        click.echo(START, err=True)
+        context.exit(2)
 
 
 class _Terminated(SystemExit):

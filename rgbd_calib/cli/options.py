@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from rgbd_calib.cli.streams import give as give
+from rgbd_calib.cli.streams import json_option as json_option
 from rgbd_calib.cli.streams import say as say
 from rgbd_calib.cli.streams import show as show
 from rgbd_calib.errors import ConfigError
@@ -222,8 +224,6 @@ def _refuse_twice(path: Path, target: Path) -> None:
 
 def progress(items: Iterable[T], total: int, what: str) -> Iterator[T]:
     """The items, with a progress bar on stderr (none where stderr is not a terminal)."""
-    from rich.console import Console
-    from rich.progress import track
+    from rgbd_calib.pipeline.progress import bar
 
-    console = Console(stderr=True)
-    yield from track(items, description=what, total=total, console=console, disable=not console.is_terminal)
+    yield from bar(items, total, what)

@@ -8,6 +8,8 @@ import click
 
 from rgbd_calib.cli.options import (
     config_option,
+    give,
+    json_option,
     method_options,
     output_option,
     overwrite_option,
@@ -23,6 +25,7 @@ from rgbd_calib.cli.options import (
 @output_option("rig.yaml")
 @method_options(("init", "ba", "icp", "baicp+", "biobjective"))
 @click.option("--strict", is_flag=True, help="Exit with status 1 if the self-checks fail. The rig is written.")
+@json_option
 @config_option
 @overwrite_option
 def command(
@@ -59,6 +62,8 @@ def command(
     from rgbd_calib.pipeline.calibrate import provenance_of, reference_of, refine_correspondences
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.prepare import given_intrinsics
+    from rgbd_calib.pipeline.summary import numbers_of
+    from rgbd_calib.report.numbers import verdict_of
 
     settings = load_config(
         config,
@@ -74,7 +79,8 @@ def command(
     lenses = given_intrinsics(intrinsics, data.cameras)
     rig, refined = refine_correspondences(data, lenses, settings, reference_of(settings, data.cameras))
     origin = {"correspondences": str(correspondences), "intrinsics": str(intrinsics)}
-    write_rig(output, replace(rig, provenance={**provenance_of(settings), **origin}))
+    rig = replace(rig, provenance={**provenance_of(settings), **origin})
+    write_rig(output, rig)
     for name, camera in rig.cameras.items():
         x, y, z = camera.T_world_color[:3, 3]
         show(f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m")
@@ -84,10 +90,10 @@ def command(
             f"{refined.message}"
         )
     say(f"Wrote {output}")
-    found = rig.quality.get("self_check", {}).get("findings", [])
-    for own in found:
-        say(f"Self-check: {own['text']}. {own['advice']}.")
-    if any(own["level"] == "distrust" for own in found):
-        say("Verdict: Do not trust this.")
-        if strict:
-            click.get_current_context().exit(1)
+    verdict = verdict_of(rig, None)
+    say(f"Verdict: {verdict}", always=verdict.level in ("poor", "untrusted"))
+    give(numbers_of(rig, verdict, None))
+    for own in rig.quality.get("self_check", {}).get("findings", []):
+        say(f"  {own['text']}. {own['advice']}.")
+    if strict and verdict.level == "untrusted":
+        click.get_current_context().exit(1)

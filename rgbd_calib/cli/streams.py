@@ -10,24 +10,100 @@ from __future__ import annotations
 import io
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from functools import wraps
+from pathlib import Path
 from typing import Any, TextIO
 
 import click
 
-_RESULTS = f"{__name__}.results"
+_RESULTS, _JSON, _QUIET, _LOG = (f"{__name__}.{name}" for name in ("results", "json", "quiet", "log"))
 
 
 def show(text: str) -> None:
-    """Print a result, on standard output."""
-    click.echo(_printable(text), file=click.get_current_context().meta.get(_RESULTS))
+    """Print a result, on standard output; nothing where results are wanted as JSON."""
+    meta = click.get_current_context().meta
+    if not meta.get(_JSON):
+        click.echo(_printable(text), file=meta.get(_RESULTS))
 
 
-def say(text: str) -> None:
-    """Print a message for the user, on standard error."""
-    click.echo(_printable(text), err=True)
+def give(numbers: Any) -> None:
+    """Print the results as JSON, where --json was given."""
+    meta = click.get_current_context().meta
+    if meta.get(_JSON):
+        from rgbd_calib.io.plain import to_json
+
+        click.echo(to_json(numbers, indent=2), file=meta.get(_RESULTS))
+
+
+def say(text: str, always: bool = False) -> None:
+    """Print a message for the user, on standard error; with --quiet only what is said `always`: warnings and errors."""
+    context = click.get_current_context(silent=True)
+    meta = context.meta if context is not None else {}
+    if always or not meta.get(_QUIET):
+        click.echo(_printable(text), err=True)
+    if path := meta.get(_LOG):
+        with path.open("a", encoding="utf-8") as log:
+            log.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S')} {_printable(text)}\n")
+
+
+def _remember(key: str) -> Callable[[click.Context, click.Parameter, Any], Any]:
+    def remember(context: click.Context, parameter: click.Parameter, value: Any) -> Any:
+        context.meta[key] = value
+        return value
+
+    return remember
+
+
+def common_options() -> list[click.Parameter]:
+    """--quiet and --log-file, which every command has."""
+    return [
+        click.Option(
+            ["--quiet"], is_flag=True, expose_value=False, callback=_remember(_QUIET), help="Only warnings and errors."
+        ),
+        click.Option(
+            ["--log-file"],
+            type=click.Path(path_type=Path, dir_okay=False),
+            expose_value=False,
+            callback=_log_file,
+            help="Append all messages to this file, with the time.",
+        ),
+    ]
+
+
+def _log_file(context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
+    if path is not None:
+        try:
+            path.open("a", encoding="utf-8").close()
+        except OSError as error:
+            raise click.BadParameter(f"{path} cannot be written: {error.strerror}. Choose another file") from None
+        context.meta[_LOG] = path
+    return path
+
+
+def json_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """--json: :func:`show` is silent, and :func:`give` prints."""
+    help_text = "Print the results as JSON."
+    return click.option("--json", is_flag=True, expose_value=False, callback=_remember(_JSON), help=help_text)(command)
+
+
+@contextmanager
+def _logging() -> Iterator[None]:
+    """Messages of the library's logger are said to the user; warnings always."""
+    import logging
+
+    class Said(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            say(record.getMessage(), always=record.levelno >= logging.WARNING)
+
+    logger, handler = logging.getLogger("rgbd_calib"), Said(logging.INFO)
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
 
 
 def results_apart(callback: Callable[..., Any]) -> Callable[..., Any]:
@@ -36,7 +112,7 @@ def results_apart(callback: Callable[..., Any]) -> Callable[..., Any]:
     @wraps(callback)
     def run(*args: Any, **options: Any) -> Any:
         click.get_current_context().meta[_RESULTS] = sys.stdout
-        with redirect_stdout(sys.stderr):
+        with redirect_stdout(sys.stderr), _logging():
             return callback(*args, **options)
 
     return run

@@ -57,8 +57,8 @@ def command(
     """Check from a few new frames whether RIG is still valid, and which camera moved: of the board, or of the empty scene.
 
     Lenses and depth biases are taken as they are; the cameras are posed anew by RECORDING and compared, pair by pair, at
-    the places where the board was, noise taken off. Five frames for each pair of neighbours are good. Where a camera
-    moved, put it back by `calibrate --update --only`.
+    the places where the board was, noise taken off. Frames that the rig was calibrated from are held out. Five frames for
+    each pair of neighbours are good. Where a camera moved, put it back by `calibrate --update --only`.
 
     With a snapshot no board is needed: each camera is compared with its own old images of the same scene, by tracked
     corners and depth; people and moved furniture are outliers. The table has each camera's displacement at --distance
@@ -84,6 +84,7 @@ def command(
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.depth_cameras import split
     from rgbd_calib.pipeline.detection import detections_from
+    from rgbd_calib.pipeline.held_out_frames import frames_of_calibration, refuse_nothing_new
     from rgbd_calib.pipeline.rig_inputs import left_out
     from rgbd_calib.pipeline.verify import summary, verify
     from rgbd_calib.trust.displacement import VerdictParams
@@ -98,8 +99,13 @@ def command(
     if snapshot is not None:
         numbers = _against_snapshot(rig, opened, snapshot, max_mm, distance, as_json)
     if snapshot is None or opened.board is not None:
+        used = frames_of_calibration(rig, opened)
+        refuse_nothing_new(rig, opened, used)
+        if used:
+            say(f"Held out: {len(used)} of {len(opened.frames)} frames, which the rig was calibrated from")
         found = detections_from(opened, corners, settings.detect, workers, progress)
-        by_board = summary(verify(rig, opened, found.views, settings, VerdictParams(max_m=max_mm / 1e3)))
+        new = [view for view in found.views if view.frame not in used]
+        by_board = summary(verify(rig, opened, new, settings, VerdictParams(max_m=max_mm / 1e3)))
         if not as_json:
             _tell(by_board)
         numbers = by_board if snapshot is None else numbers | {"by_board": by_board}

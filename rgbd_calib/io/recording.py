@@ -202,8 +202,24 @@ class Recording:
             for camera in files:
                 for path in files[camera].values():
                     total.update(str(path.relative_to(self.path)).encode())
-                    total.update(hashlib.sha256(read_bytes(path, MAX_BYTES)).digest())
+                    total.update(self._sha256(path))
         return total.hexdigest()
+
+    def image_digests(self) -> dict[str, dict[str, str]]:
+        """First 16 digits of the SHA-256 of every colour image, by camera and frame: says which images a result is from."""
+        return {
+            camera: {frame: self._sha256(path).hex()[:16] for frame, path in files.items()}
+            for camera, files in self.color_files.items()
+        }
+
+    def _sha256(self, path: Path) -> bytes:
+        if path not in self._digests:
+            self._digests[path] = hashlib.sha256(read_bytes(path, MAX_BYTES)).digest()
+        return self._digests[path]
+
+    @cached_property
+    def _digests(self) -> dict[Path, bytes]:
+        return {}
 
 
 def open_recording(path: Path) -> Recording:

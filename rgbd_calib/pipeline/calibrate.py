@@ -13,6 +13,7 @@ import numpy as np
 
 import rgbd_calib
 from rgbd_calib.errors import CalibrationError, ConfigError
+from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import plain
@@ -24,6 +25,7 @@ from rgbd_calib.pipeline.config import Config, as_plain
 from rgbd_calib.pipeline.depth_cameras import split
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.pipeline.evaluate import Evaluation, against_views
+from rgbd_calib.pipeline.judged_points import correspondences_quality
 from rgbd_calib.pipeline.prepare import (
     NO_DEPTH_SOURCE,
     DepthSource,
@@ -84,7 +86,7 @@ class Calibration:
     joint: JointCovariance | None
     """Covariance of all cameras together; None for `init`."""
     evaluation: Evaluation | None
-    """On the recording itself; None where no two cameras have depth on the same corner."""
+    """On the recording itself; None where no two cameras see the board in one frame."""
 
 
 @one_blas_thread
@@ -147,15 +149,17 @@ def calibrate(
     placed = pose_by_rig(rig, views.association.views, found, config)
     placed = depth_cameras.at_the_corners(placed, rig, recording.cameras, found)
     boards = boards or {p.view.frame: rig.cameras[p.view.camera].T_world_color @ p.T_color_board for p in placed}
-    evaluation = against_views(rig, placed, found) if _pairs_with_depth(placed) else None
+    evaluation = against_views(rig, placed, found) if _common_frames(placed) else None
     residuals = residuals or details.residuals_of_rig(rig, placed, boards, board)
     quality |= common_quality(recording, views, evaluation)
     quality |= details.starting_rig(
         views.association.views, views.association.T_world_color, lenses, board, reference, config.initialization
     )
+    quality["working_distance_m"] = round(float(np.median([p.T_color_board[2, 3] for p in placed])), 3)
     if joint is not None:
         with_depth = [name for name in cameras if recording.depth_files[name]]
-        quality |= details.expectation(rig, joint, boards, board, with_depth)
+        corners_m = np.concatenate([se3.transform(T, board.corners_m()) for T in boards.values()])
+        quality |= details.expectation(rig, joint, corners_m, with_depth)
     if views.selection is not None:
         quality |= views.selection.quality(quality.get("expected_alignment", {}).get("mean_mm"))
     stated_mm = quality.get("expected_alignment", {}).get("mean_mm", 0.0)
@@ -174,6 +178,7 @@ def calibrate(
         **provenance_of(config),
         "recording": str(recording.path),
         "recording_sha256": recording.digest(),
+        "images_sha256": recording.image_digests(),
         "intrinsics": views.lenses.origin,
         "depth_bias": views.depth.origin,
     }
@@ -278,6 +283,9 @@ def refine_correspondences(
         rig = _rig_of_refinement(refined, views, reference)
         quality = {"initialization": steps_of(start), **refinement_quality(refined)}
         quality |= self_check.of_correspondences(refined, data, config.self_check)
+        quality |= correspondences_quality(rig, data, details.joint_of_refinement(refined))
+    if refined is None:
+        quality |= correspondences_quality(rig, data, None)
     return replace(rig, quality={"method": config.method, **plain(quality)}), refined
 
 
@@ -297,10 +305,16 @@ def provenance_of(config: Config) -> dict[str, Any]:
     return {
         "program": f"rgbd-calib {rgbd_calib.__version__}",
         "versions": details.versions(),
-        "command": shlex.join(["rgbd-calib", *sys.argv[1:]]),
+        "command": _command(),
         "seed": config.seed,
         "config": plain(as_plain(config)),
     }
+
+
+def _command() -> str:
+    """As it was typed; the name of the script where a Python program called."""
+    script = Path(sys.argv[0]).name
+    return shlex.join(["rgbd-calib" if script in ("__main__.py", "rgbd-calib.exe") else script, *sys.argv[1:]])
 
 
 def _refinement(config: Config) -> RefinementParams:
@@ -356,8 +370,8 @@ def _rig_of_refinement(refined: RefinementResult, views: Views, reference: str) 
     return replace(rig, cameras=cameras)
 
 
-def _pairs_with_depth(placed: Sequence[PlacedView]) -> bool:
-    frames = [p.view.frame for p in placed if np.isfinite(p.view.depth_m).any()]
+def _common_frames(placed: Sequence[PlacedView]) -> bool:
+    frames = [p.view.frame for p in placed]
     return len(frames) > len(set(frames))
 
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.io.files import plain
 from rgbd_calib.io.recording import Recording
@@ -61,7 +64,8 @@ def calibrate_carried(
     found = replace(board, shape=solved.board_shape)
     quality = {**bundle_quality(solved), **common_quality(recording, views, None), **clock_quality(own, reference)}
     with_depth = [name for name in cameras if recording.depth_files[name]]
-    quality |= details.expectation(rig, joint, boards, board, with_depth)
+    corners_m = np.concatenate([se3.transform(T, board.corners_m()) for T in boards.values()])
+    quality |= details.expectation(rig, joint, corners_m, with_depth)
     quality |= {"board": board_data(found), "depth_bias_samples": own.depth.samples}
     quality["self_check"] = {"trusted": True, "findings": [NOT_CHECKED], "tested": 0}
     provenance = {

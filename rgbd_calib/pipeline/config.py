@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from difflib import get_close_matches
 from functools import cache
@@ -20,6 +21,7 @@ from rgbd_calib.rig.biobjective import RefinementParams
 from rgbd_calib.rig.initialization import InitializationParams
 from rgbd_calib.rig.setup import BundleParams
 from rgbd_calib.trust.self_check import SelfCheckParams
+from rgbd_calib.trust.verdict import VerdictLimits
 from rgbd_calib.views.association import AssociationParams
 from rgbd_calib.views.board_pose import BoardPoseParams
 from rgbd_calib.views.detect import DetectParams
@@ -49,6 +51,7 @@ class Config:
     refinement: RefinementParams = field(default_factory=RefinementParams)
     bundle: BundleParams = field(default_factory=BundleParams)
     self_check: SelfCheckParams = field(default_factory=SelfCheckParams)
+    verdict: VerdictLimits = field(default_factory=VerdictLimits)
 
 
 def load_config(path: Path | None, **over: Any) -> Config:
@@ -66,6 +69,21 @@ def load_config(path: Path | None, **over: Any) -> Config:
     _check_keys(Config, data, path, ())
     if "method" in data.get("refinement", {}):
         raise ConfigError(f"{where}: refinement.method: set by `method`, which names all estimators. Move it there")
+    return _validated(data, where, over)
+
+
+def with_settings(config: Config, over: Mapping[str, Any]) -> Config:
+    """The configuration with the given values over it, named as for :func:`load_config`.
+
+    Raises
+    ------
+    ConfigError
+        An unknown key (with a suggestion), or a value that does not fit.
+    """
+    return _validated(as_plain(config), "configuration", over)
+
+
+def _validated(data: dict[str, Any], where: str, over: Mapping[str, Any]) -> Config:
     for key, value in over.items():
         if value is not None:
             *sections, last = key.split("__")
@@ -73,6 +91,7 @@ def load_config(path: Path | None, **over: Any) -> Config:
             for section in sections:
                 into = into.setdefault(section, {})
             into[last] = value
+    _check_keys(Config, data, None, ())
     try:
         config = _adapter().validate_python(data)
     except ValidationError as error:

@@ -8,10 +8,12 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
+from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.depth_image import seen_by
@@ -21,7 +23,7 @@ from rgbd_calib.io.depth_files import NO_MEASUREMENT
 from rgbd_calib.io.exports.common import without_lens
 from rgbd_calib.io.images import MAX_BYTES
 from rgbd_calib.io.reading import read_bytes
-from rgbd_calib.io.recording import Recording, save_color, save_depth, write_dataset
+from rgbd_calib.io.recording import DepthGeometry, Recording, save_color, save_depth, write_dataset
 from rgbd_calib.io.rig import write_rig
 from rgbd_calib.pipeline.detection import Progress, silent
 from rgbd_calib.pipeline.rig_inputs import check_depth_geometry, common_cameras
@@ -68,9 +70,14 @@ def undistort_map(lens: Intrinsics) -> UndistortMap:
     return UndistortMap(source[..., 0], source[..., 1], inside & unique)
 
 
-def correct_depth(depth_raw: np.ndarray, scale: float, camera: RigCamera) -> tuple[np.ndarray, int, int]:
+Geometry = Literal["color", "depth"]
+
+
+def correct_depth(
+    depth_raw: np.ndarray, scale: float, camera: RigCamera, geometry: Geometry = "color"
+) -> tuple[np.ndarray, int, int]:
     """Depth (h, w), uint16 in units of `scale`, as the sensor would have reported it without errors, in the colour camera's
-    geometry; and how many pixels were lost and held.
+    geometry, or pixel by pixel in the depth camera's own; and how many pixels were lost and held.
 
     Returns
     -------
@@ -78,10 +85,13 @@ def correct_depth(depth_raw: np.ndarray, scale: float, camera: RigCamera) -> tup
         Rounded to the unit. Lost: not in 1 ... 65535 any more, set to 0. Held: outside the range of the data.
     """
     bias, measured, z_m = camera.depth_bias, depth_raw > 0, depth_raw * scale
-    if camera.depth_field is not None or camera.depth_camera is not None:
+    if geometry == "depth" and (bias is not None or camera.depth_field is not None):
+        points_m = camera.depth_image.points(np.where(measured, z_m, np.nan))
+        true_m = se3.transform(se3.inverse(camera.depth_sensor.camera.T_color_depth), points_m)[..., 2]
+    elif geometry == "color" and (camera.depth_field is not None or camera.depth_camera is not None):
         lens, points_m = camera.intrinsics, camera.depth_image.points(np.where(measured, z_m, np.nan))
         true_m = seen_by(points_m, lens, max(1.0, lens.fx / camera.depth_sensor.camera.intrinsics.fx))
-    elif bias is not None:
+    elif geometry == "color" and bias is not None:
         true_m = np.where(measured, bias.correct(z_m), np.nan)
     else:
         return depth_raw, 0, 0
@@ -98,11 +108,13 @@ def correct(
     rig: Rig,
     out: Path,
     undistort: bool = False,
+    geometry: Geometry = "color",
     jobs: int | None = None,
     progress: Progress = silent,
 ) -> dict[str, Corrected]:
     """Write the corrected recording, and the rig that belongs to it, into the folder `out`; say what was done by camera.
 
+    Depth gets the geometry of the colour image, or keeps its own, whose calibration then stands in dataset.yaml and in the rig.
     Colour images are copied as they are unless `undistort`. Cameras that the rig does not have are left out.
 
     Raises
@@ -114,14 +126,14 @@ def correct(
     for c in cameras:
         if recording.depth_files[c]:
             check_depth_geometry(recording, c, rig.cameras[c])
-    fitting = _rig_of_corrected(rig, cameras, undistort)
+    fitting = _rig_of_corrected(rig, cameras, undistort, geometry)
     infos = {
         c: replace(
             recording.cameras[c],
             intrinsics=fitting.cameras[c].intrinsics,
             depth_scale=min(recording.cameras[c].depth_scale, _COARSEST_M),
             invalid=(),
-            depth=None,
+            depth=_geometry_of(fitting.cameras[c]),
             float_unit_m=1.0,
         )
         for c in cameras
@@ -142,7 +154,7 @@ def correct(
         info, to = infos[camera], maps[camera]
         units = np.nan_to_num(np.rint(recording.depth_own_m(camera, frame) / info.depth_scale))
         depth_raw = np.where(units < NO_MEASUREMENT, units, 0).astype(np.uint16)
-        corrected, lost, held = correct_depth(depth_raw, info.depth_scale, rig.cameras[camera])
+        corrected, lost, held = correct_depth(depth_raw, info.depth_scale, rig.cameras[camera], geometry)
         save_depth(out, camera, frame, corrected if to is None else _nearest(corrected, to))
         return lost, held
 
@@ -160,7 +172,7 @@ def correct(
         for table in _TABLES:
             if (recording.path / camera / table).exists():
                 (out / camera / table).write_bytes(read_bytes(recording.path / camera / table, tables.MAX_BYTES))
-    extra = recording.extra | {"corrected": {"depth_bias": True, "undistorted": undistort}}
+    extra = recording.extra | {"corrected": {"depth_bias": True, "undistorted": undistort, "geometry": geometry}}
     write_dataset(out, infos, recording.board, extra)
     write_rig(out / "rig.yaml", fitting)
     summary = {}
@@ -179,10 +191,18 @@ def refuse_inside(recording: Path, out: Path) -> None:
         raise ConfigError(f"{out}: is, holds or lies in the recording {recording}. Choose a folder beside it")
 
 
-def _rig_of_corrected(rig: Rig, cameras: tuple[str, ...], undistort: bool) -> Rig:
-    kept = {
-        camera: replace(rig.cameras[camera], depth_bias=None, depth_field=None, depth_camera=None) for camera in cameras
-    }
+def _geometry_of(camera: RigCamera) -> DepthGeometry | None:
+    """Of depth in the depth camera's own geometry."""
+    own = camera.depth_camera
+    if own is None:
+        return None
+    return DepthGeometry(own.intrinsics.width, own.intrinsics.height, own.intrinsics, None, own.T_color_depth)
+
+
+def _rig_of_corrected(rig: Rig, cameras: tuple[str, ...], undistort: bool, geometry: Geometry) -> Rig:
+    kept = {camera: replace(rig.cameras[camera], depth_bias=None, depth_field=None) for camera in cameras}
+    if geometry == "color":
+        kept = {name: replace(own, depth_camera=None) for name, own in kept.items()}
     reference = rig.reference if rig.reference in kept else cameras[0]
     fitting = replace(rig, reference=reference, cameras=kept)
     return without_lens(fitting) if undistort else fitting

@@ -48,14 +48,11 @@ def joint_of_refinement(refined: RefinementResult) -> JointCovariance:
     return JointCovariance(refined.joint_covariance, parts)
 
 
-def expectation(
-    rig: Rig, joint: JointCovariance, boards: Mapping[str, FloatArray], board: Board, cameras: Sequence[str]
-) -> dict[str, Any]:
-    """Expected alignment error as plain numbers; empty where no point of the boards' box is seen by two cameras.
+def expectation(rig: Rig, joint: JointCovariance, corners_m: FloatArray, cameras: Sequence[str]) -> dict[str, Any]:
+    """Expected alignment error as plain numbers; empty where no point of the box of `corners_m` is seen by two cameras.
 
     The points are in the reference camera's frame, so that they hold in any world.
     """
-    corners_m = np.concatenate([se3.transform(T, board.corners_m()) for T in boards.values()])
     expected = expected_alignment(rig, joint, volume(corners_m, GRID), cameras)
     if expected is None:
         return {}

@@ -7,7 +7,7 @@ pixel and its own depth, through its own intrinsics, depth bias and pose.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ GRID = 12
 """Points along each side of the working volume."""
 BIN_M = 0.5
 """Width of the bins of distance in a summary."""
+_NONE = np.empty(0)
 NEAR_M, FAR_M = 1.0, 3.0
 """Depths of the working volume where no board says where it is."""
 
@@ -51,6 +52,8 @@ class PairAlignment:
     """(n,), mean depth of the point in the two cameras."""
     transfer_px: FloatArray
     """(n,), against a recording: error of the board posed by one camera and projected into the other; else empty."""
+    transfer_m: FloatArray = field(default_factory=lambda: np.empty(0))
+    """(n,), the same at the board, across the line of sight."""
 
 
 @dataclass(frozen=True)
@@ -75,14 +78,13 @@ class Evaluation:
 
     def summary(self) -> dict[str, Any]:
         """Plain numbers for people and files."""
-        transfer = np.concatenate([pair.transfer_px for pair in self.pairs])
-        out: dict[str, Any] = {"all": _numbers(self.distance_m, transfer)}
-        out["pairs"] = {" - ".join(p.cameras): _numbers(p.distance_m, p.transfer_px) for p in self.pairs}
+        transfer = [np.concatenate([getattr(p, key) for p in self.pairs]) for key in ("transfer_px", "transfer_m")]
+        out: dict[str, Any] = {"all": _numbers(self.distance_m, *transfer)}
+        out["pairs"] = {" - ".join(p.cameras): _numbers(p.distance_m, p.transfer_px, p.transfer_m) for p in self.pairs}
         depth = np.concatenate([pair.depth_m for pair in self.pairs])
         bins = np.floor(depth / BIN_M)
         out["by_distance"] = {
-            f"{b * BIN_M:.1f}-{(b + 1) * BIN_M:.1f} m": _numbers(self.distance_m[bins == b], np.empty(0))
-            for b in np.unique(bins)
+            f"{b * BIN_M:.1f}-{(b + 1) * BIN_M:.1f} m": _numbers(self.distance_m[bins == b]) for b in np.unique(bins)
         }
         if self.poses:
             out["poses"] = {
@@ -141,7 +143,7 @@ def against_views(rig: Rig, placed: Sequence[PlacedView], board: Board) -> Evalu
     by_frame: dict[str, list[PlacedView]] = {}
     for view in placed:
         by_frame.setdefault(view.view.frame, []).append(view)
-    found: dict[tuple[str, str], list[tuple[FloatArray, FloatArray, FloatArray]]] = {}
+    found: dict[tuple[str, str], list[tuple[FloatArray, ...]]] = {}
     for frame in sorted(by_frame):
         views = sorted(by_frame[frame], key=lambda view: view.view.camera)
         on_front = {view.view.camera: _on_front(rig, view, board) for view in views}
@@ -153,7 +155,7 @@ def against_views(rig: Rig, placed: Sequence[PlacedView], board: Board) -> Evalu
             "no frame shows the board to two cameras of the rig; nothing to compare. Film the board between two cameras"
         )
     pairs = [
-        PairAlignment(key, *(np.concatenate([row[k] for row in rows]) for k in range(3))) for key, rows in found.items()
+        PairAlignment(key, *(np.concatenate([row[k] for row in rows]) for k in range(4))) for key, rows in found.items()
     ]
     pairs = [pair for pair in pairs if len(pair.distance_m) or len(pair.transfer_px)]
     return Evaluation(tuple(pairs), {})
@@ -197,13 +199,17 @@ def place_views(
     return tuple(repose(p, board, lenses[p.view.camera]) for p in placed)
 
 
-def _numbers(distance_m: FloatArray, transfer_px: FloatArray) -> dict[str, float]:
+def _numbers(
+    distance_m: FloatArray, transfer_px: FloatArray = _NONE, transfer_m: FloatArray = _NONE
+) -> dict[str, float]:
     out: dict[str, float] = {"points": len(distance_m)}
     if len(distance_m):
         mm = 1e3 * distance_m
         out |= {"mean_mm": float(mm.mean()), "median_mm": float(np.median(mm)), "p95_mm": float(np.percentile(mm, 95))}
     if len(transfer_px):
         out |= {"median_px": float(np.median(transfer_px)), "mean_px": float(transfer_px.mean())}
+    if len(transfer_m):
+        out["median_board_mm"] = 1e3 * float(np.median(transfer_m))
     return out
 
 
@@ -240,22 +246,25 @@ def _on_front(rig: Rig, placed: PlacedView, board: Board) -> FloatArray:
 
 def _compare(
     rig: Rig, a: PlacedView, b: PlacedView, board: Board, on_front: Mapping[str, FloatArray]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Distances, depths and transfer errors of the corners that both saw (of the same physical corner)."""
+) -> tuple[FloatArray, ...]:
+    """Distances, depths and transfer errors in px and at the board of the corners that both saw (of the same physical corner)."""
     _, ia, ib = np.intersect1d(a.front_corner(board), b.front_corner(board), return_indices=True)
     distance = np.linalg.norm(on_front[a.view.camera][ia] - on_front[b.view.camera][ib], axis=1)
     depth = (a.view.depth_m[ia] + b.view.depth_m[ib]) / 2
     finite = np.isfinite(distance)
     transfer = np.concatenate([_transfer(rig, a, b, board), _transfer(rig, b, a, board)])
-    return distance[finite], depth[finite], transfer
+    return distance[finite], depth[finite], *transfer.T
 
 
 def _transfer(rig: Rig, source: PlacedView, target: PlacedView, board: Board) -> FloatArray:
-    """Board posed by the pixels of `source`, projected into `target`: errors (n,) px of its corners, where they were seen."""
+    """Board posed by the pixels of `source`, projected into `target`: errors (n, 2) of its corners, where they were seen: px, and
+    metres across the line of sight at the board."""
     if source.view.predicted or target.view.predicted:
-        return np.empty(0)
+        return np.empty((0, 2))
     T_world_board = rig.cameras[source.view.camera].T_world_color @ source.T_color_board
     T_color_board = se3.inverse(rig.cameras[target.view.camera].T_world_color) @ T_world_board
     lens = rig.cameras[target.view.camera].intrinsics
-    pixels = lens.project(se3.transform(T_color_board, target.points_m(board)))
-    return np.linalg.norm(pixels - target.view.corners_px, axis=1)
+    p_color = se3.transform(T_color_board, target.points_m(board))
+    off_px = lens.project(p_color) - target.view.corners_px
+    off_m = off_px / [lens.fx, lens.fy] * p_color[:, 2:]
+    return np.column_stack([np.linalg.norm(off_px, axis=1), np.linalg.norm(off_m, axis=1)])

@@ -97,7 +97,9 @@ def _refuse_second_correction(recording: Recording, rig: Rig, shared: tuple[str,
     undistorted = isinstance(corrected, dict) and corrected.get("undistorted")
     for name in shared:
         camera = rig.cameras[name]
-        errors = (camera.depth_bias, camera.depth_field, camera.depth_camera)
+        errors: list[object] = [camera.depth_bias, camera.depth_field]
+        if not (isinstance(corrected, dict) and corrected.get("geometry") == "depth"):
+            errors.append(camera.depth_camera)
         again = ["a depth bias"] if any(error is not None for error in errors) else []
         again += ["distortion"] if undistorted and any(camera.intrinsics.distortion) else []
         if again:

@@ -45,6 +45,14 @@ class Verification:
     left_out: dict[tuple[str, str], str]
     """Why, by (camera, frame), of views that fit nothing."""
 
+    @property
+    def holds(self) -> bool:
+        """The rig is still valid."""
+        return self.verdict.holds
+
+    def __str__(self) -> str:
+        return sentence(self.verdict)
+
 
 @one_blas_thread
 def verify(

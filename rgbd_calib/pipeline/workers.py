@@ -24,6 +24,7 @@ import cv2
 from threadpoolctl import threadpool_limits
 
 from rgbd_calib.errors import CalibrationError
+from rgbd_calib.io.processes import HAS_FORKSERVER, context
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -168,7 +169,7 @@ class _Processes:
             if deaths == DEATHS:
                 raise CalibrationError(
                     f"{item}: the process that works on it dies, even alone; memory for one image is needed. Free some, or "
-                    "see what --jobs 1 says (a script must start its work below `if __name__ == '__main__':`)"
+                    "see what --jobs 1 says"
                 )
             future = self._again(function, item, later)
 
@@ -200,11 +201,11 @@ def _cores() -> int:
 
 def _context(module: str) -> multiprocessing.context.BaseContext:
     """Processes forked from one that has imported `module` and runs no threads; where there is none, new ones."""
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return multiprocessing.get_context("spawn")
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([module])
-    return context
+    if not HAS_FORKSERVER:
+        return context("spawn")
+    server = context("forkserver")
+    server.set_forkserver_preload([module])
+    return server
 
 
 def _begin() -> None:

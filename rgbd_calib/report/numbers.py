@@ -11,7 +11,9 @@ import numpy as np
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.residuals import Residuals
-from rgbd_calib.types import Board, BoardView
+from rgbd_calib.io.rig import board_in
+from rgbd_calib.trust.verdict import Verdict, judge, limits_in
+from rgbd_calib.types import Board, BoardView, Rig
 from rgbd_calib.views.coverage import Coverage, CoverageParams, measure_coverage
 
 CELLS = (8, 6)
@@ -139,6 +141,27 @@ def coverage_of(r: Residuals, board: Board, intrinsics: Mapping[str, Intrinsics]
     sizes = {name: (own.width, own.height) for name, own in intrinsics.items()}
     params = CoverageParams(judge_cameras=judge_cameras)
     return measure_coverage(views, board, sizes, dict(intrinsics), params)
+
+
+def coverage_of_rig(rig: Rig, residuals: Residuals | None) -> Coverage | None:
+    """Coverage by the views that a rig was calibrated from; None where they, or the board, are not known."""
+    board = board_in(rig.quality)
+    if residuals is None or board is None:
+        return None
+    lenses = {name: own.intrinsics for name, own in rig.cameras.items()}
+    return coverage_of(residuals, board, lenses, "own views" in str(rig.provenance.get("intrinsics", "")))
+
+
+def verdict_of(rig: Rig, residuals: Residuals | None) -> Verdict:
+    """Whether to trust a rig: the same in the terminal, in Python and in the report."""
+    coverage = coverage_of_rig(rig, residuals)
+    return judge(rig.quality, coverage.missing if coverage else (), depth_noise_mm(rig), limits_in(rig.provenance))
+
+
+def depth_noise_mm(rig: Rig) -> float | None:
+    """RMS of what is left of a corner's depth, over the cameras that have it."""
+    left = [own.statistics["depth_rms_m"] for own in rig.cameras.values() if own.statistics.get("depth_rms_m")]
+    return 1e3 * float(np.sqrt(np.mean(np.square(left)))) if left else None
 
 
 def camera_table(r: Residuals, statistics: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -18,7 +18,7 @@ from rgbd_calib.io.rig import board_in
 from rgbd_calib.report import figures, numbers
 from rgbd_calib.report.figures import Figure, css_color
 from rgbd_calib.report.scene import scene
-from rgbd_calib.trust.verdict import FAIR_MM, GOOD_MM, NOISE_FACTOR, judge
+from rgbd_calib.trust.verdict import USUAL_M, limits_in
 from rgbd_calib.types import Board, Rig
 from rgbd_calib.views.coverage import Coverage, CoverageParams
 
@@ -56,11 +56,7 @@ def render(contents: Contents) -> str:
     rig, quality = contents.rig, contents.rig.quality
     board = board_in(quality)
     left = contents.residuals
-    own_views = "own views" in str(rig.provenance.get("intrinsics", ""))
-    coverage = None
-    if left is not None and board is not None:
-        lenses = {name: own.intrinsics for name, own in rig.cameras.items()}
-        coverage = numbers.coverage_of(left, board, lenses, own_views)
+    coverage = numbers.coverage_of_rig(rig, left)
     drawn: dict[str, Figure] = {"scene": _scene(contents, board)}
     if coverage is not None:
         drawn |= _coverage_figures(coverage)
@@ -83,8 +79,8 @@ def render(contents: Contents) -> str:
         rig=rig,
         quality=quality,
         provenance=rig.provenance,
-        verdict=judge(quality, coverage.missing if coverage else (), depth_noise_mm(rig)),
-        limits={"good": GOOD_MM, "fair": FAIR_MM, "noise": NOISE_FACTOR},
+        verdict=numbers.verdict_of(rig, left),
+        limits=_limits(rig),
         colors={name: css_color(i) for i, name in enumerate(rig.cameras)},
         poses=_poses(rig),
         pairs=_pair_rows(quality),
@@ -101,6 +97,11 @@ def render(contents: Contents) -> str:
         plotly=get_plotlyjs(),
         config=to_json(rig.provenance.get("config", {}), indent=1),
     )
+
+
+def _limits(rig: Rig) -> dict[str, float]:
+    own, at_m = limits_in(rig.provenance), float(rig.quality.get("working_distance_m", USUAL_M))
+    return {"good": own.good_mm(at_m), "fair": own.fair_mm(at_m), "noise": own.noise_factor, "at_m": at_m}
 
 
 def _scene(contents: Contents, board: Board | None) -> Figure:
@@ -126,12 +127,6 @@ class Scales:
     """By camera, by how much the arrows are lengthened."""
     top_px: float
     top_mm: float
-
-
-def depth_noise_mm(rig: Rig) -> float | None:
-    """RMS of what is left of a corner's depth, over the cameras that have it."""
-    rms = [own.statistics["depth_rms_m"] for own in rig.cameras.values() if own.statistics.get("depth_rms_m")]
-    return 1e3 * float(np.sqrt(np.mean(np.square(rms)))) if rms else None
 
 
 def _residual_figures(drawn: dict[str, Figure], rig: Rig, left: Residuals) -> Scales:

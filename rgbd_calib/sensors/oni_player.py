@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 from collections.abc import Iterator
@@ -13,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from rgbd_calib.errors import ConfigError, RgbdCalibError
+from rgbd_calib.io.processes import context
 from rgbd_calib.sensors.frames import SensorFrame
 
 END_S = 2.0
 """Silence of the runtime that means the end, where the file holds fewer frames than it says."""
-START = "spawn"
-"""How the process is made."""
 _SILENCE_S = 60.0  # of the process: it starts, loads the runtime and opens the file within a second or two
 _MEMORY_BYTES = 4 << 30
 
@@ -39,9 +37,9 @@ def play(path: Path, redist: Path | None) -> Iterator[OniHead | SensorFrame]:
     CalibrationError, ConfigError
         There is no runtime, it does not open the file, or the file ends it.
     """
-    context: Any = multiprocessing.get_context(START)
-    ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_play, args=(str(path.absolute()), redist, theirs), daemon=True)
+    alone: Any = context("spawn")
+    ours, theirs = alone.Pipe(duplex=False)
+    process = alone.Process(target=_play, args=(str(path.absolute()), redist, theirs), daemon=True)
     process.start()
     theirs.close()
     try:

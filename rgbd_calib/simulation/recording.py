@@ -7,13 +7,13 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
 from rgbd_calib.geometry import so3
 from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.io import recording as files
+from rgbd_calib.io.processes import context
 from rgbd_calib.io.schema_parts import DepthCameraModel
 from rgbd_calib.simulation import rig
 from rgbd_calib.simulation.images import Setting, make_images, make_room, start
@@ -85,7 +85,7 @@ def workers(
     before = {name: os.environ.get(name) for name in threads}
     os.environ.update(dict.fromkeys(threads, "1"))
     try:
-        pool = get_context("spawn").Pool(jobs, start, (setting,))
+        pool = context("spawn").Pool(jobs, start, (setting,))
     finally:
         for name, value in before.items():
             os.environ.pop(name)

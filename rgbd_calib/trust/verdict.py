@@ -4,17 +4,45 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import Any, Literal
 
-GOOD_MM, FAIR_MM = 3.0, 10.0
-"""Mean expected distance: 3 mm is the noise of one depth pixel at 1.4 m, 10 mm at 2.5 m (sigma = 1.6e-3 z^2): below
-the first the calibration's error hides in the sensor's, beyond the second it shows in every fused cloud."""
-NOISE_FACTOR = 2.0
-"""The same for the median distance measured on the recording, which has the noise of two single depths in it."""
+USUAL_M = 2.0
+"""Working distance of a rig that does not state its own."""
 MIN_COMMON_FRAMES = 3
 
 Level = Literal["good", "fair", "poor", "untrusted", "unknown"]
 _ORDER: tuple[Level, ...] = ("good", "fair", "poor", "untrusted")
+
+
+@dataclass(frozen=True)
+class VerdictLimits:
+    """What is good enough: shares of the working distance, the median distance of the boards from the cameras."""
+
+    good_share: float = 0.0015
+    """Mean expected error up to which a rig is good: 3 mm at 2 m, half the noise of one depth pixel there (1.6e-3 z^2)."""
+    fair_share: float = 0.005
+    """Up to which it is fair: 10 mm at 2 m, beyond the noise of one depth pixel: it shows in every fused cloud."""
+    noise_factor: float = 2.0
+    """Limits for the median distance measured on the recording are so many times as wide: it has the noise of two depths."""
+
+    def good_mm(self, distance_m: float) -> float:
+        """At this working distance."""
+        return 1e3 * self.good_share * distance_m
+
+    def fair_mm(self, distance_m: float) -> float:
+        """At this working distance."""
+        return 1e3 * self.fair_share * distance_m
+
+
+def limits_in(provenance: Mapping[str, Any]) -> VerdictLimits:
+    """The limits that a rig was calibrated with; the defaults where it states none."""
+    config = provenance.get("config")
+    stated = config.get("verdict") if isinstance(config, Mapping) else None
+    names = VerdictLimits.__dataclass_fields__
+    if not isinstance(stated, Mapping):
+        return VerdictLimits()
+    return VerdictLimits(**{k: float(v) for k, v in stated.items() if k in names and isinstance(v, int | float)})
 
 
 @dataclass(frozen=True)
@@ -25,14 +53,34 @@ class Verdict:
     """Sentences, the most important first."""
     next_steps: tuple[str, ...]
 
+    def __str__(self) -> str:
+        return self.headline
 
-def judge(quality: Mapping[str, Any], missing: Sequence[str], depth_noise_mm: float | None = None) -> Verdict:
+    def _repr_html_(self) -> str:
+        reasons = "".join(f"<li>{escape(text)}</li>" for text in self.reasons)
+        steps = "".join(f"<li>{escape(text)}</li>" for text in self.next_steps)
+        return f"<p><strong>{escape(self.headline)}</strong></p><ul>{reasons}</ul><p>Next:</p><ol>{steps}</ol>"
+
+
+def judge(
+    quality: Mapping[str, Any],
+    missing: Sequence[str],
+    depth_noise_mm: float | None = None,
+    limits: VerdictLimits = VerdictLimits(),
+) -> Verdict:
     """Judge a rig's quality; `missing` are sentences of what was not filmed, `depth_noise_mm` is of one corner's depth."""
+    at_m = float(quality.get("working_distance_m", USUAL_M))
+
+    def level_of(mm: float, factor: float) -> Level:
+        if mm <= limits.good_mm(at_m) * factor:
+            return "good"
+        return "fair" if mm <= limits.fair_mm(at_m) * factor else "poor"
+
     expected, measured = quality.get("expected_alignment"), quality.get("alignment_on_recording", {}).get("all", {})
     levels: list[Level] = []
     reasons, steps = [], []
     if expected:
-        levels.append(_level(expected["mean_mm"], 1.0))
+        levels.append(level_of(expected["mean_mm"], 1.0))
         reasons.append(
             f"Expected error, from how well the recording determines every parameter: {_mm(expected['mean_mm'])} in the "
             f"mean over the working volume ({levels[-1]})."
@@ -46,11 +94,27 @@ def judge(quality: Mapping[str, Any], missing: Sequence[str], depth_noise_mm: fl
         levels.append("fair")
         reasons.append("This method does not tell how sure its poses are, so it is fair at best.")
     if "median_mm" in measured:
-        levels.append(_level(measured["median_mm"], NOISE_FACTOR))
+        levels.append(level_of(measured["median_mm"], limits.noise_factor))
         reasons.append(
             f"Measured on the recording itself: two cameras put the same board corner {_mm(measured['median_mm'])} apart "
             f"in the median, the noise of two single depth readings included ({levels[-1]})."
             + (f" Single depth readings scatter by {_mm(depth_noise_mm)} here, RMS." if depth_noise_mm else "")
+        )
+    elif "median_board_mm" in measured:
+        levels.append(level_of(measured["median_board_mm"], 1.0))
+        reasons.append(
+            f"Measured on the recording itself, by pixels: a board that one camera locates is {measured['median_px']:.2f} px off "
+            f"in another camera, or {_mm(measured['median_board_mm'])} at the board, in the median ({levels[-1]})."
+        )
+    if levels:
+        reasons.append(
+            f"Limits at the working distance of {at_m:.1f} m: good up to {_mm(limits.good_mm(at_m))}, fair up to "
+            f"{_mm(limits.fair_mm(at_m))}"
+            + (
+                f"; {limits.noise_factor:g} times that for distances measured by depth."
+                if "median_mm" in measured
+                else "."
+            )
         )
     if scale := quality.get("self_check", {}).get("scale"):
         reasons.append(
@@ -107,16 +171,14 @@ def _mm(value: float) -> str:
     return f"{value:.1f} mm" if value >= 1 else f"{value:.2f} mm"
 
 
-def _level(mm: float, factor: float) -> Level:
-    return "good" if mm <= GOOD_MM * factor else "fair" if mm <= FAIR_MM * factor else "poor"
-
-
 def _headline(level: Level, expected: Mapping[str, Any] | None, measured: Mapping[str, Any]) -> str:
     if expected and not (_lower_bound(expected) and "median_mm" in measured):
         number = f"two cameras are expected to put the same point {_mm(expected['mean_mm'])} apart "
         number += "inside the volume that the boards went through"
     elif "median_mm" in measured:
         number = f"two cameras put the same point {_mm(measured['median_mm'])} apart, sensor noise included"
+    elif "median_board_mm" in measured:
+        number = f"two cameras put the same point {_mm(measured['median_board_mm'])} apart at the board, across the line of sight"
     else:
         number = "the recording has no depth that two cameras share, so no error in mm is known"
     words = {

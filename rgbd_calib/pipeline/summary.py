@@ -1,0 +1,129 @@
+"""The end of a calibration in words: what a person at the rig wants to know."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from rgbd_calib.errors import RgbdCalibError
+from rgbd_calib.io.recording import Recording
+from rgbd_calib.io.residuals import Residuals
+from rgbd_calib.io.rig import board_in, read_boards, read_rig
+from rgbd_calib.pipeline.evaluate import against_truth
+from rgbd_calib.pipeline.frame_selection import told
+from rgbd_calib.report.numbers import camera_table
+from rgbd_calib.trust.verdict import Verdict
+from rgbd_calib.types import Rig
+
+
+def course(quality: dict[str, Any]) -> list[str]:
+    """What was used, what was dropped, and what the recording does not determine."""
+    lines = []
+    used, images = quality.get("views_used", {}), quality.get("images", {})
+    if used:
+        lines.append("Views used: " + ", ".join(f"{name} {used[name]} of {images[name]} images" for name in used))
+    if selected := told(quality):
+        lines.append(selected)
+    for key, what in (("views_not_associated", "left out"), ("dropped", "dropped")):
+        for name, frames in quality.get(key, {}).items():
+            lines += [f"{name}: frame {frame} {what}: {why}" for frame, why in frames.items()]
+    lines += merged(quality.get("not_observable", []), list(images))
+    if "status" in quality:
+        lines.append(f"{quality['method']}: {quality['message']}")
+    return lines
+
+
+def merged(sentences: Iterable[str], cameras: Sequence[str]) -> list[str]:
+    """Sentences that differ only in the camera that they begin with, as one that names all of these cameras."""
+    groups: dict[str, list[str]] = {}
+    for text in sentences:
+        name = next((c for c in sorted(cameras, key=len, reverse=True) if text.startswith((f"{c}'s ", f"{c}: "))), "")
+        groups.setdefault(text[len(name) :], []).append(name)
+    return [", ".join(names) + rest if names[0] else rest for rest, names in groups.items()]
+
+
+def block(
+    rig: Rig, verdict: Verdict, residuals: Residuals | None, truth: dict[str, Any] | None = None
+) -> tuple[list[str], list[str]]:
+    """Rows of the cameras, and the lines that end a calibration: expected error, error against the truth, print, verdict."""
+    quality = rig.quality
+    lines = []
+    expected, measured = quality.get("expected_alignment"), quality.get("alignment_on_recording", {}).get("all", {})
+    if expected:
+        lines.append(
+            f"Expected error: {expected['mean_mm']:.2f} mm in the mean, 95 % of the volume below {expected['p95_mm']:.2f} mm"
+        )
+    if truth is not None:
+        own = truth["all"]
+        lines.append(
+            f"Error against the truth: {own['mean_mm']:.2f} mm in the mean, 95 % of the volume below {own['p95_mm']:.2f} mm"
+        )
+    if "median_mm" in measured:
+        lines.append(
+            f"Measured on this recording: two cameras put the same corner {measured['median_mm']:.2f} mm apart in the median "
+            f"({measured['mean_mm']:.2f} mm in the mean), including single-reading depth noise"
+        )
+    elif "median_board_mm" in measured:
+        lines.append(
+            f"Measured on this recording: {measured['median_px']:.2f} px between cameras in the median, or "
+            f"{measured['median_board_mm']:.2f} mm at the board; depth is not used"
+        )
+    lines += [text for text in quality.get("corrected", []) if text.startswith(("The print", "The board"))]
+    lines.append(f"Verdict: {verdict}")
+    findings = quality.get("self_check", {}).get("findings", [])
+    lines += [f"  {text}" for text in merged([f"{f['text']}. {f['advice']}." for f in findings], list(rig.cameras))]
+    return _rows(rig, residuals), lines
+
+
+def truth_beside(recording: Recording, rig: Rig) -> dict[str, Any] | None:
+    """Errors against the truth.yaml of a simulated recording; None where there is none, or it is of other cameras."""
+    path = recording.path.parent / "truth.yaml"
+    if not path.exists():
+        return None
+    try:
+        return against_truth(rig, read_rig(path), read_boards(path), recording.board or board_in(rig.quality)).summary()
+    except RgbdCalibError:
+        return None
+
+
+def numbers_of(rig: Rig, verdict: Verdict, truth: dict[str, Any] | None) -> dict[str, Any]:
+    """The same for programs."""
+    expected = {k: v for k, v in rig.quality.get("expected_alignment", {}).items() if k != "grid"}
+    return {
+        "verdict": verdict.level,
+        "headline": verdict.headline,
+        "reasons": list(verdict.reasons),
+        "next_steps": list(verdict.next_steps),
+        "expected": expected or None,
+        "measured": rig.quality.get("alignment_on_recording"),
+        "truth": truth,
+        "corrected": rig.quality.get("corrected", []),
+        "cameras": {
+            name: {
+                "position_m": own.T_world_color[:3, 3],
+                "sd_mm": 1e3 * float(np.sqrt(np.diag(own.covariance)[3:].max())),
+                "sd_deg": float(np.degrees(np.sqrt(np.diag(own.covariance)[:3].max()))),
+                "reference": name == rig.reference,
+            }
+            for name, own in rig.cameras.items()
+        },
+    }
+
+
+def _rows(rig: Rig, residuals: Residuals | None) -> list[str]:
+    table = camera_table(residuals, {name: {} for name in rig.cameras}) if residuals is not None else []
+    seen = {row["camera"]: row for row in table}
+    out = []
+    for name, own in rig.cameras.items():
+        sd = np.sqrt(np.maximum(np.diag(own.covariance), 0))
+        sure = f"± {1e3 * sd[3:].max():.2f} mm, ± {np.degrees(sd[:3].max()):.3f}°" if sd.any() else ""
+        x, y, z = own.T_world_color[:3, 3]
+        text = f"{name}: at {x:+.4f} {y:+.4f} {z:+.4f} m  {'reference' if name == rig.reference else sure}".rstrip()
+        row = seen.get(name)
+        if row and row["views"]:
+            text += f"; {row['views']} views, {row['rms_px']:.3f} px RMS"
+            text += f", depth {row['rms_mm']:.2f} mm RMS" if np.isfinite(row["rms_mm"]) else ""
+        out.append(text)
+    return out
