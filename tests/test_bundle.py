@@ -50,12 +50,10 @@ def priors_of(rig: Rig, rng: np.random.Generator, with_bias: bool = True) -> dic
     return out
 
 
-def solved(
-    rig: Rig, views: Sequence[PlacedView], board: Board, rng: np.random.Generator, params: BundleParams | None = None
-) -> Solution:
+def solved(rig: Rig, views: Sequence[PlacedView], board: Board, rng: np.random.Generator) -> Solution:
     T = {name: se3.retract(own.T_world_color, rng.normal(0, 0.005, 6)) for name, own in rig.cameras.items()}
     T["C1"] = rig.cameras["C1"].T_world_color
-    return bundle(views, board, priors_of(rig, rng), T, "C1", params)
+    return bundle(views, board, priors_of(rig, rng), T, "C1")
 
 
 def rig_of(result: Solution) -> Rig:

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import synthetic_views as sv
-from test_bundle import NOISE, draw, solved
+from test_bundle import NOISE, draw, priors_of, solved
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.rig.setup import BundleParams
+from rgbd_calib.rig.bundle import bundle
 from rgbd_calib.types import PlacedView
 
 
@@ -30,7 +30,7 @@ def test_what_depths_share_is_found_and_counted(ripple: bool) -> None:
         views = draw(rig, board, 15, rng)
         phases = {name: rng.uniform(0, 2 * np.pi) for name in rig.cameras}
         views = [rippled(view, phases[view.view.camera]) for view in views] if ripple else views
-        result = solved(rig, views, board, rng, BundleParams(hold=("depth range",)))  # which would follow it
+        result = solved(rig, views, board, rng)
         tau.append(result.common.depth)
         at = result.index("pose", "C2")
         xi = se3.difference(rig.cameras["C2"].T_world_color, result.state.T_world_color[1])
@@ -51,11 +51,12 @@ def test_what_depths_share_is_found_and_counted(ripple: bool) -> None:
         assert max(tau) < np.sqrt(4 * 0.006)
 
 
-def test_a_ripple_over_the_range_is_followed() -> None:
+def test_the_wiggle_of_time_of_flight_is_followed() -> None:
     rng = np.random.default_rng(0)
     rig, board = sv.ring(2, biased=True), sv.TWO_SIDED
     views = [rippled(view, 0.3) for view in draw(rig, board, 30, rng)]
-    result = solved(rig, views, board, rng)
+    priors = {name: replace(prior, time_of_flight=True) for name, prior in priors_of(rig, rng).items()}
+    result = bundle(views, board, priors, {n: c.T_world_color for n, c in rig.cameras.items()}, "C1")
     bias = result.depth_bias("C1")
     assert bias is not None
     z_m = np.concatenate([p.view.depth_m for p in views if p.view.camera == "C1"])

@@ -95,7 +95,7 @@ class Problem:
 
     @classmethod
     def of(cls, setup: Setup, blocks: Sequence[type[Block]] = ESTIMATED) -> Problem:
-        made = tuple(block(setup) for block in blocks if block.name not in setup.params.hold)
+        made = tuple(block(setup) for block in blocks if block.name not in setup.params.hold and block.applies(setup))
         usual = {c.name: c.usual for block in made for c in block.prior().components}
         return cls(
             setup, made, setup.obs, Weights.first(setup.obs, setup.walls, len(setup.cameras), usual, setup.params)

@@ -113,10 +113,10 @@ class Solution:
             return prior
         n = block.n_own(i)
         at, ripple, tof = self.index("depth bias", camera)[:n], (), False
-        if "depth range" in self.problem.parts:
-            at = np.concatenate([at, self.index("depth range", camera)])
+        if "depth ripple" in self.problem.parts and self.prior_of(camera).time_of_flight:
+            at = np.concatenate([at, self.index("depth ripple", camera)])
             tof = self.prior_of(camera).time_of_flight
-            ripple = tuple(self.state.values["depth range"][i].tolist())
+            ripple = tuple(self.state.values["depth ripple"][i].tolist())
         low, high = (float(z) for z in block.range_m[i])
         coefficients = tuple(float(c) for c in self.state.values["depth bias"][i, :n])
         return DepthBias(

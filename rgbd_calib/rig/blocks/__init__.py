@@ -19,6 +19,7 @@ from rgbd_calib.rig.blocks.depth_bias import DepthBiasBlock
 from rgbd_calib.rig.blocks.depth_error import DepthErrorBlock
 from rgbd_calib.rig.blocks.depth_field import DepthField
 from rgbd_calib.rig.blocks.depth_range import DepthRange
+from rgbd_calib.rig.blocks.depth_ripple import DepthRipple
 from rgbd_calib.rig.blocks.intrinsics import IntrinsicsBlock
 from rgbd_calib.rig.blocks.pixel_field import PixelField
 from rgbd_calib.rig.blocks.registration import Registration
@@ -29,7 +30,7 @@ ESTIMATED: tuple[type[Block], ...] = (
     CameraPoses,
     IntrinsicsBlock,
     DepthBiasBlock,
-    DepthRange,
+    DepthRipple,
     DepthField,
     Registration,
     Tape,
@@ -43,6 +44,7 @@ ESTIMATED: tuple[type[Block], ...] = (
 HELD: tuple[type[Block], ...] = (
     BoardScale,
     BoardWarp,
+    DepthRange,
     PixelField,
 )
 """What it holds at zero, and the self-checks look for."""

@@ -138,6 +138,11 @@ class Block(ABC):
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
 
+    @classmethod
+    def applies(cls, setup: Setup) -> bool:
+        """Is there anything of its kind?"""
+        return True
+
     @property
     @abstractmethod
     def parameters(self) -> tuple[str, ...]:

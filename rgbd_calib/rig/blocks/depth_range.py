@@ -1,11 +1,4 @@
-"""What the depth errs by along the range beyond its bias: the wiggle of time of flight, the ripple of triangulation.
-
-    z_true = z + ... + sum_d c_d P_d(t)        t from -1 to 1 over the range of the depth bias, d from RIPPLE_FROM on
-
-For time of flight t is of the distance along the pixel's ray, s z, and the error along it, so that z errs by 1 / s of it.
-
-How large it is, is estimated; where there is nothing it goes to zero.
-"""
+"""What the depth bias does not follow along the range: polynomials up to the fifth degree, in proportion to the depth."""
 
 from __future__ import annotations
 
@@ -14,70 +7,45 @@ from functools import cached_property
 import numpy as np
 from numpy.polynomial import legendre
 
-from rgbd_calib.geometry.depth_error import RIPPLE_FROM
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.rig.blocks.block import BlockPrior, Component, Fault
-from rgbd_calib.rig.blocks.depth_bias import DepthBiasBlock
+from rgbd_calib.rig.blocks.block import Fault
 from rgbd_calib.rig.blocks.depth_error import LinearDepthErrorBlock
 
-DEGREE = 16
-"""Four waves over the range: those of time of flight are half a metre long."""
-DOF = 0.1
-"""Of what is usual: hardly known, since most sensors have none that is seen."""
-MOST_M = 0.05
+DEGREE = 5
 
 
 class DepthRange(LinearDepthErrorBlock):
-    """c_d of each camera, metres."""
+    """Coefficients of Legendre polynomials of the second degree on, over the camera's depths."""
 
     name = "depth range"
     held = Fault(
         "depth over the range",
         lambda t: f"{t.camera}'s depth deviates with the distance in a way that its bias does not follow, {t.mm} RMS",
         "Record walls at more distances, over the whole range; check that the depth is not clipped",
-        parameters=3,
     )
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        return tuple(f"depth range {k}" for k in range(RIPPLE_FROM, DEGREE + 1))
+        return tuple(f"depth range {k}" for k in range(2, DEGREE + 1))
 
     @cached_property
     def range_m(self) -> FloatArray:
         """(C, 2)."""
-        return DepthBiasBlock(self.setup).range_m
-
-    def start(self) -> FloatArray:
-        out = np.zeros((self.sets, self.n))
-        for row, prior in zip(out, self.setup.priors, strict=True):
-            if prior.bias is not None:
-                row[: len(prior.bias.ripple_m)] = prior.bias.ripple_m
-        return out
-
-    def prior(self) -> BlockPrior:
-        obs, walls, n = self.setup.obs, self.setup.walls, self.n
-        free, components = np.zeros((self.sets, n), bool), []
-        for c, prior in enumerate(self.setup.priors):
-            seen = bool(np.any(obs.has_depth[obs.camera == c]) or np.any(walls.camera == c))
-            free[c] = seen and prior.held == "nothing"
-            name, usual = f"{self.setup.cameras[c]}: depth over the range", self.setup.params.ripple_m
-            components.append(Component(name, c * n + np.arange(n), np.eye(n), usual, DOF, MOST_M))
-        nothing = np.zeros((self.size,) * 2)
-        return BlockPrior(self.start().ravel(), nothing, free.ravel(), np.zeros(self.size, bool), tuple(components))
+        obs, out = self.setup.obs, []
+        for c in range(self.sets):
+            z = obs.depth_m[(obs.camera == c)[:, None] & obs.has_depth]
+            out.append((z.min(), max(z.max(), z.min() + 1e-6)) if len(z) else (0.0, 1.0))
+        return np.array(out)
 
     def basis(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         low, high = self.range_m[camera]
-        s = self._stretch(camera, pixels_px)
-        t = np.clip(2 * (depth_m * s - low) / (high - low) - 1, -1, 1)
-        inside = np.abs(t) < 1
-        by_t = legendre.legder(np.eye(DEGREE + 1)[:, RIPPLE_FROM:])  # (DEGREE, n): derivatives of the shapes as series
-        P = legendre.legvander(t, DEGREE)
-        slopes = P[..., :DEGREE] @ by_t * ((2 / (high - low)) * inside)[..., None]
-        return P[..., RIPPLE_FROM:] / s[..., None], slopes
+        inside = (depth_m >= low) & (depth_m <= high)
+        by_t = legendre.legder(np.eye(DEGREE + 1)[:, 2:])  # (DEGREE, n): derivatives of the shapes as series
+        t, z = self._over_range(camera, depth_m), depth_m[..., None]
+        shapes = legendre.legvander(t, DEGREE)[..., 2:]
+        slopes = np.moveaxis(legendre.legval(t, by_t), 0, -1) * (2 / (high - low)) * inside[..., None]
+        return shapes * z, shapes + slopes * z
 
-    def _stretch(self, camera: int, pixels_px: FloatArray) -> FloatArray:
-        """(...), length of the pixels' rays (x, y, 1) by the lens at the start, where the error is along them; else 1."""
-        prior = self.setup.priors[camera]
-        if not prior.time_of_flight:
-            return np.ones(pixels_px.shape[:-1])
-        return np.linalg.norm(np.nan_to_num(prior.intrinsics.rays(pixels_px), nan=1.0), axis=-1)
+    def _over_range(self, camera: int, depth_m: FloatArray) -> FloatArray:
+        low, high = self.range_m[camera]
+        return np.asarray(np.clip(2 * (depth_m - low) / (high - low) - 1, -1, 1))
