@@ -25,7 +25,7 @@ SAYS = {
     "square stated 1 % too large (print at 99 %)": "the board's squares are -",
     "square in cm": "board.square: 6.0 seen",
     "print 1 % too wide": "the board's squares are +0.5",
-    "two_sided not stated": "common frames agree on where the two stand",
+    "two_sided not stated": "common frames agree on the relative pose",
     "thickness stated 5 mm too small": "faces are +5",
     "cameras swapped in the intrinsic recording": "",
     "one camera's images mirrored": "C2",

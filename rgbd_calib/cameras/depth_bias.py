@@ -40,7 +40,7 @@ class DepthBiasParams:
     noise_exponent: float | None = None
     """p of sigma ~ z^p, where the depths have no standard errors; None: 0, 1 and 2, each by its likelihood."""
     min_range_ratio: float = 1.25
-    """The farthest distance over the nearest: below it, offset and scale cannot be told apart."""
+    """The farthest distance over the nearest: below it, offset and scale cannot be distinguished."""
     outlier_sigmas: float = 5.0
     distance_sd_m: float = 0.002
     """Of a wall's distance that distances.csv gives without `sd_m`: a tape measure."""

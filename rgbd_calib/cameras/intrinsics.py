@@ -41,7 +41,7 @@ class IntrinsicsParams:
     min_outlier_px: float = 0.5
     """A view with a smaller RMS than this is never left out."""
     max_views: int = 100
-    """Of more, those are used that tell most of the lens (D-optimal): some seconds, where a thousand would take an hour."""
+    """Of more, the most informative ones are used (D-optimal): some seconds, where a thousand would take an hour."""
 
 
 @dataclass(frozen=True)

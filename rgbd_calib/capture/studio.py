@@ -77,7 +77,7 @@ class Studio:
             if now_s - self._silent_since_s > self.give_up_s:
                 raise CalibrationError(
                     f"{only or 'all cameras'}: no frames for {self.give_up_s:.0f} s; what was recorded before is whole. "
-                    "Plug in again, look at `rgbd-calib devices`, then go on with --append"
+                    "Plug it in again, check `rgbd-calib devices`, then resume with --append"
                 )
 
     def check(self) -> None:

@@ -75,11 +75,11 @@ def command(
     \b
     Examples:
       rgbd-calib board --square 0.022 -o board.pdf                       # fits A4, for close views
-      rgbd-calib board --cols 8 --rows 5 --square 0.08 --two-sided --thickness 0.006 -o board.pdf
-      rgbd-calib board --type charuco --square 0.04 --marker 0.03 -o board.svg
-      rgbd-calib board --type aprilgrid --cols 12 --rows 8 --square 0.0195 -o board.pdf   # 6 x 4 tags of 30 mm
-      rgbd-calib board --square 0.06 --tile A4 -o board.pdf              # over several sheets of A4
-      rgbd-calib board --square 0.02 --measured 159.4x99.8 -o board.pdf  # the first print came out too small
+      rgbd-calib board --cols 8 --rows 5 --square 0.08 --two-sided --thickness 0.006 -o opposed.pdf
+      rgbd-calib board --type charuco --square 0.04 --marker 0.03 -o charuco.svg
+      rgbd-calib board --type aprilgrid --cols 12 --rows 8 --square 0.0195 -o tags.pdf   # 6 x 4 tags of 30 mm
+      rgbd-calib board --square 0.06 --tile A4 -o tiles.pdf              # over several sheets of A4
+      rgbd-calib board --square 0.02 --measured 159.4x99.8 -o again.pdf  # the first print came out too small
     """
     if output.suffix.lower() not in (".pdf", ".svg"):
         raise ConfigError(f"{output}: a name that ends in .pdf or .svg is needed. Try {output.with_suffix('.pdf')}")

@@ -135,12 +135,12 @@ def command(
     \b
     Examples:
       rgbd-calib calibrate demo/extrinsic -o rig.yaml
-      rgbd-calib calibrate demo/extrinsic --intrinsics demo/intrinsic --depth-bias demo/depth_bias -o rig.yaml
-      rgbd-calib calibrate demo/extrinsic --intrinsics intrinsics.yaml --method biobjective -o rig.yaml
-      rgbd-calib calibrate demo/extrinsic --world floor -o rig.yaml
+      rgbd-calib calibrate demo/extrinsic --intrinsics demo/intrinsic --depth-bias demo/depth_bias -o full.yaml
+      rgbd-calib calibrate demo/extrinsic --intrinsics intrinsics.yaml --method biobjective -o paper.yaml
+      rgbd-calib calibrate demo/extrinsic --world floor -o on_floor.yaml
       rgbd-calib calibrate monday --update rig.yaml --only C3 -o rig2.yaml
-      rgbd-calib calibrate monday --update rig.yaml --snapshot friday -o rig2.yaml
-      rgbd-calib calibrate monday --update rig.yaml --world board:000004 -o rig2.yaml
+      rgbd-calib calibrate monday --update rig.yaml --snapshot friday -o rig3.yaml
+      rgbd-calib calibrate monday --update rig.yaml --world board:000004 -o rig4.yaml
     """
     output = output or update
     if output is None:

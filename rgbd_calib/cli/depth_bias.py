@@ -53,7 +53,7 @@ def command(
     \b
     Examples:
       rgbd-calib depth-bias demo/depth_bias -o depth_bias.yaml
-      rgbd-calib depth-bias demo/extrinsic --intrinsics intrinsics.yaml -o depth_bias.yaml
+      rgbd-calib depth-bias demo/extrinsic --intrinsics intrinsics.yaml -o by_board.yaml
     """
     refuse_existing(output, overwrite)
     import numpy as np

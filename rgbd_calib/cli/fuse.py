@@ -55,7 +55,7 @@ def command(
     \b
     Examples:
       rgbd-calib fuse demo/extrinsic --rig demo/rig.yaml -o demo/cloud.ply
-      rgbd-calib fuse demo/extrinsic --rig demo/rig.yaml --color camera --view top --view oblique -o demo/cloud.ply
+      rgbd-calib fuse demo/extrinsic --rig demo/rig.yaml --color camera --view top --view oblique -o demo/views.ply
     """
     if output.suffix.lower() != ".ply":
         raise ConfigError(f"{output}: a name that ends in .ply is needed. Try {output.with_suffix('.ply')}")

@@ -87,7 +87,7 @@ def command(
 
     ID names the camera of a FILE that has one; otherwise they are C1, C2, ..., or as FILE names them. Whatever is not used
     is named. The unit of depth is never assumed: where FILE does not say it, it is concluded from the board, asked for on
-    a terminal, or given by --depth-scale. An import that was interrupted goes on with the same command.
+    a terminal, or given by --depth-scale. An interrupted import is resumed by the same command.
 
     \b
     Examples:

@@ -46,7 +46,7 @@ def command(
     Examples:
       rgbd-calib import-calibration camchain.yaml -o rig.yaml
       rgbd-calib import-calibration C1=left.yaml C2=right.yaml -o intrinsics.yaml
-      rgbd-calib import-calibration calib.xml --size 640x480 -o intrinsics.yaml
+      rgbd-calib import-calibration calib.xml --size 640x480 -o one.yaml
     """
     from rgbd_calib.cli.import_ import named_files
 

@@ -59,9 +59,9 @@ def command(
 
     \b
     Examples:
-      rgbd-calib init monday
-      rgbd-calib init monday --board 9x6 --square 0.06 --yes
-      rgbd-calib init monday --color "rgb_{camera}_{frame}.jpg" --depth "{camera}/depth_{frame}.tiff" --dry-run
+      rgbd-calib init photos --board 9x6 --square 0.06
+      rgbd-calib init scans --board 9x6 --square 0.06 --yes          # asks nothing
+      rgbd-calib init mixed --color "rgb_{camera}_{frame}.jpg" --depth "{camera}/depth_{frame}.tiff" --dry-run
     """
     target = folder / "dataset.yaml"
     if target.exists() and not overwrite and not dry_run:

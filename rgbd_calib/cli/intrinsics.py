@@ -41,7 +41,7 @@ def command(
     Examples:
       rgbd-calib intrinsics demo/intrinsic -o intrinsics.yaml
       rgbd-calib detect demo/intrinsic -o corners.csv
-      rgbd-calib intrinsics demo/intrinsic --corners corners.csv -o intrinsics.yaml
+      rgbd-calib intrinsics demo/intrinsic --corners corners.csv -o by_corners.yaml
     """
     refuse_existing(output, overwrite)
     from rgbd_calib.io.recording import open_recording
@@ -81,7 +81,9 @@ def command(
             f"cy {lens.cy:.2f} ± {sd[3]:.2f} px; RMS {result.rms_px:.3f} px over {len(result.view_rms_px)} views"
         )
         if result.not_needed:
-            say(f"{name}: {len(result.not_needed)} views more were not needed: these tell most (intrinsics.max_views)")
+            say(
+                f"{name}: {len(result.not_needed)} more views were not needed: the most informative ones are used (intrinsics.max_views)"
+            )
         for frame, why in result.dropped.items():
             say(f"{name}: frame {frame} left out: {why}")
     say(f"Wrote {output}")

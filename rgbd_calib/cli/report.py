@@ -32,7 +32,7 @@ def command(rig: Path, recording: Path | None, depth_bias: Path | None, output: 
     \b
     Examples:
       rgbd-calib report rig.yaml -o report
-      rgbd-calib report rig.yaml --recording demo/extrinsic -o report
+      rgbd-calib report rig.yaml --recording demo/extrinsic -o report_with_clouds
     """
     refuse_existing(output / "index.html", overwrite)
     from rgbd_calib.pipeline.report import report_of_file

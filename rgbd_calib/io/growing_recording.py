@@ -74,7 +74,7 @@ class GrowingRecording:
         """Frame sets finished by this object."""
         if _occupied(folder):
             if not append:
-                raise ConfigError(f"{folder}: exists already. Choose another name, or go on with --append")
+                raise ConfigError(f"{folder}: exists already. Choose another name, or resume with --append")
             self._continue(board)
 
     @property
@@ -235,8 +235,8 @@ class GrowingRecording:
         error = error if isinstance(error, OSError) else error.__cause__ or error
         kept = f"{self.finished} frame set{'s' if self.finished != 1 else ''} of this session kept"
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            return f"{self.folder}: the disk is full; {kept}. Free space, then go on with --append"
-        return f"{self.folder}: writing failed ({getattr(error, 'strerror', None) or error}); {kept}. Fix this, then go on with --append"
+            return f"{self.folder}: the disk is full; {kept}. Free space, then resume with --append"
+        return f"{self.folder}: writing failed ({getattr(error, 'strerror', None) or error}); {kept}. Fix this, then resume with --append"
 
 
 def append_lines(lines: Sequence[tuple[Path, str, str]]) -> None:

@@ -60,7 +60,7 @@ def examine(problem: Problem, cov: Covariance) -> Observability:
             for k, name_b in others[a + 1 :]:
                 if j in place and k in place and abs(c := correlation[place[j], place[k]]) > MAX_CORRELATION:
                     sentences.append(
-                        f"{camera}'s {name_a} and {name_b} cannot be told apart (correlation {c:+.3f}): {ADVICE[_kind(name_a)]}"
+                        f"{camera}'s {name_a} and {name_b} cannot be distinguished (correlation {c:+.3f}): {ADVICE[_kind(name_a)]}"
                     )
     eigenvalues = np.linalg.eigvalsh(correlation) if len(free) else np.ones(1)
     return Observability(tuple(sentences), float(max(eigenvalues[0], 0) / eigenvalues[-1]), undetermined)

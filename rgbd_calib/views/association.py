@@ -185,13 +185,13 @@ def _chain(reference: str, cameras: Sequence[str], pairs: Sequence[PairVotes]) -
         a, b = best.cameras
         if best.votes <= best.rival_votes and best.votes < MIN_AGREEING * best.frames and best.frames > 2:
             raise CalibrationError(
-                f"{a} and {b}: {best.votes} of {best.frames} common frames agree on where the two stand, not more than agree by "
+                f"{a} and {b}: {best.votes} of {best.frames} common frames agree on the relative pose, not more than agree by "
                 f"chance; {MIN_AGREEING:.0%} at least are needed. Frames of different instants under one name, of another "
                 "session, mirrored images, or another pattern in view: look at a few frames of both, and film again"
             )
         if best.votes <= best.rival_votes:
             raise CalibrationError(
-                f"{a} and {b}: {best.frames} common view(s), and the board could be half turned, or seen from its other "
+                f"{a} and {b}: {best.frames} common view(s), and the board could be rotated by 180°, or seen from its other "
                 f"side, in {'it' if best.frames == 1 else 'them'} just as well; two frames with the board held differently "
                 "are needed. Film this pair again, or use a board with cols + rows odd"
             )

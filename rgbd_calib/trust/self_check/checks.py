@@ -68,11 +68,11 @@ def check_noise(noise: Mapping[str, Noise], params: SelfCheckParams, stated_mm: 
 def check_votes(
     pairs: Sequence[tuple[tuple[str, str], int, int]], two_sided: bool, params: SelfCheckParams
 ) -> list[Finding]:
-    """Pairs of cameras, their common frames, and how many of these agree on where the two stand."""
+    """Pairs of cameras, their common frames, and how many of these agree on the relative pose."""
     out = []
     for pair, frames, votes in pairs:
         if frames > 1 and votes < params.min_votes_share * frames:
-            text = f"{pair[0]} and {pair[1]}: only {votes} of {frames} common frames agree on where the two stand"
+            text = f"{pair[0]} and {pair[1]}: only {votes} of {frames} common frames agree on the relative pose"
             advice = (
                 "Frames of different instants under one name, mirrored images, another pattern in view, or images of another "
                 "session" + ("" if two_sided else "; or a board with two faces without `two_sided: true`")

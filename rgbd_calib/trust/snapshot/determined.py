@@ -67,4 +67,4 @@ def drift_sentence(motion: Motion) -> str:
     at_mm = 1e3 * (motion.drift[0] + 2 * motion.drift[1])
     text = f"depth changed by {at_mm:+.1f} mm at 2 m (offset {offset_mm:+.1f} mm, scale {scale:+.2f} %)"
     together = [_NAMES[k] for k in range(6) if np.abs(motion.correlation[k, :2]).max() > _TRADES]
-    return text + (f"; cannot be told from {' and '.join(together)}" if together else "")
+    return text + (f"; cannot be distinguished from {' and '.join(together)}" if together else "")

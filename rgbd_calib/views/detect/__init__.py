@@ -59,8 +59,8 @@ def find_corners(
         found, clear = (None, None) if tags is None else (tags[:2], tags[2])
     elif board.cols == board.rows:
         raise ConfigError(
-            f"board: {board.cols} x {board.rows} inner corners; a board with as many columns as rows cannot be told from "
-            "its quarter turns. Use a board with different numbers"
+            f"board: {board.cols} x {board.rows} inner corners; a board with as many columns as rows looks the same "
+            "when rotated by 90°. Use a board with different numbers"
         )
     else:
         found = find_checkerboard(gray, board, params)
