@@ -123,8 +123,9 @@ def over_distance(r: Residuals) -> DistanceBins:
 
 
 def coverage_of(r: Residuals, board: Board, intrinsics: Mapping[str, Intrinsics], judge_cameras: bool) -> Coverage:
-    """Coverage by the views that were used."""
+    """Coverage by the views that were used; depth cameras go with their colour cameras."""
     views = []
+    r = r.select(np.isin(r.camera, list(intrinsics)))
     keys = np.char.add(np.char.add(r.camera, "\t"), r.frame)
     for key in np.unique(keys[r.used_pixel]):
         own = r.select((keys == key) & r.used_pixel)
