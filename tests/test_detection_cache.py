@@ -62,7 +62,7 @@ def found(recording, folder, params=None):
 
 def bits(views):
     return [
-        (v.camera, v.frame, [(getattr(v, f.name).dtype, getattr(v, f.name).tobytes()) for f in fields(v)[2:]])
+        (v.camera, v.frame, [(getattr(v, f.name).dtype, getattr(v, f.name).tobytes()) for f in fields(v)[2:6]])
         for v in views
     ]
 

@@ -178,7 +178,7 @@ def test_command_against_a_recording(run, recording):
 def test_command_needs_one_thing_to_compare_with(run, recording, args):
     out = run("evaluate", recording.truth, *args)
     assert out.status == 2
-    assert "give one of --truth FILE and --recording RECORDING" in out.stderr
+    assert "give one of --truth FILE, --recording RECORDING and --clouds RECORDING" in out.stderr
 
 
 def test_command_with_another_rig(run, recording, tmp_path):

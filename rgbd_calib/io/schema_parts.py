@@ -137,7 +137,7 @@ class PolynomialFieldModel(Model):
     width: Side
     height: Side
     degree: Annotated[int, Field(ge=1, le=20)]
-    growth: tuple[Annotated[float, Field(ge=-2, le=6)], Annotated[float, Field(ge=-2, le=2)]]
+    growth: tuple[Annotated[float, Field(ge=-30, le=30)], Annotated[float, Field(ge=-30, le=30)]]
     """p, q."""
     coefficients: list[Finite]
     min_m: Positive

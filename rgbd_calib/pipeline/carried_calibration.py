@@ -10,7 +10,7 @@ from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline import frame_selection
-from rgbd_calib.pipeline.carried import CarriedStart, start_of
+from rgbd_calib.pipeline.carried import CarriedStart, stamps_s, start_of
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, silent
 from rgbd_calib.pipeline.prepare import DepthSource, IntrinsicsSource, resolve_depth, resolve_intrinsics
@@ -100,7 +100,7 @@ def check_possible(recording: Recording, config: Config) -> None:
     Raises
     ------
     ConfigError
-        Another method than bundle, free structure, a selection of frames, or unregistered depth.
+        Another method than bundle, free structure, a selection of frames, unregistered depth, or frames without timestamps.
     """
     where = f"{recording.path / 'dataset.yaml'}: synchronous is false"
     if config.method != "bundle" or config.bundle.structure == "free":
@@ -119,6 +119,8 @@ def check_possible(recording: Recording, config: Config) -> None:
             f"{where}: depth registered to colour expected, depth with its own geometry found ({', '.join(mounted)}). Calibrate it "
             "from still views first and register it with `rgbd-calib correct`"
         )
+    for camera in recording.cameras:
+        stamps_s(recording, camera)
 
 
 def _some(detections: Detections) -> Detections:

@@ -26,8 +26,6 @@ MOST = 10.0
 """Times what is usual: a sensor that errs by more is broken. Boards alone would let shapes take what other errors leave."""
 GROWTH, GROWTH_SD = np.array([2.0, 0.0]), np.array([0.7, 0.2])
 """Prior of p and q."""
-GROWTH_WITHIN = (-2.0, -2.0), (6.0, 2.0)
-"""No sensor is beyond; few boards over a short range would go anywhere."""
 GROWTH_OF_TOF = np.array([0.5, 0.0])
 """Of an error in range, and of what grows with the noise."""
 
@@ -65,11 +63,6 @@ class DepthField(DepthErrorBlock):
                 )
         assumed = np.zeros(self.size, bool)
         return BlockPrior(mean.ravel(), np.diag(information.ravel()), free.ravel(), assumed, tuple(components))
-
-    def moved(self, value: FloatArray, step: FloatArray) -> FloatArray:
-        out = super().moved(value, step)
-        out[:, -2:] = np.clip(out[:, -2:], *GROWTH_WITHIN)
-        return out
 
     def error(
         self, camera: int, own: FloatArray, pixels_px: FloatArray, depth_m: FloatArray
