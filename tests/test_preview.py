@@ -58,7 +58,6 @@ def test_the_page_shows_pictures_corners_coverage_and_what_is_missing(rig, brows
     rig.wait_for_frame_sets(out, 2)
     wait.until(lambda b: int(b.find_element("id", "count").text.split()[0]) >= 2)
     assert "C1-C2" in browser.find_element("id", "common").text
-    browser.save_screenshot(str(tmp_path / "preview.png"))
     rig.command("unplug 2")
     wait.until(lambda b: "dead" in b.find_element("id", "camera-C3").get_attribute("class"))
     wait.until(lambda b: "C3: unplugged" in b.find_element("id", "events").text)
