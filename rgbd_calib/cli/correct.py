@@ -76,6 +76,8 @@ def command(
         notes = [f"{done.color_images} colour", f"{done.depth_images} depth images, {bias}"]
         if done.lost_pixels:
             notes.append(f"{done.lost_pixels} depth pixels no longer fit 16 bits and became 0")
-        if done.held_pixels:
-            notes.append(f"{done.held_pixels} depth pixels outside the bias' fitted range, corrected as at its end")
+        if done.outside_pixels:
+            notes.append(
+                f"{done.outside_pixels} depth pixels outside the range of the data that the bias rests on, corrected less surely"
+            )
         say(f"  {camera}: {', '.join(notes)}")

@@ -31,7 +31,7 @@ ErrorOfDepth = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class DepthBias:
-    """z_true = z + c0 + c1 z + c2 z^2 + ... + sum_d r_d P_d(t), z in metres, fitted on [min_m, max_m] and held at the ends outside.
+    """z_true = z + c0 + c1 z + c2 z^2 + ... + sum_d r_d P_d(t), z in metres, on [min_m, max_m] and held at the ends outside.
 
     P_d are Legendre's polynomials of the degrees from RIPPLE_FROM on, t goes from -1 to 1 over the range.
     """
@@ -47,6 +47,13 @@ class DepthBias:
 
     along_ray: bool = False
     """The ripple is of the distance along the pixel's ray, as time of flight has it, and not of z."""
+    data_m: tuple[float, float] | None = None
+    """Range of the data where the curve goes on beyond it; None: that of the curve."""
+
+    @property
+    def measured_m(self) -> tuple[float, float]:
+        """Range of the data that it rests on."""
+        return self.data_m or (self.min_m, self.max_m)
 
     def error_m(self, z_m: FloatArray, stretch: FloatArray | float = 1.0) -> FloatArray:
         """z_true - z, metres, same shape as `z_m`; `stretch` is the length of the pixels' rays (x, y, 1)."""

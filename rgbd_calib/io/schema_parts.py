@@ -64,7 +64,8 @@ class IntrinsicsModel(Strict):
 class DepthBiasModel(Model):
     """z_true = z + c0 + c1 z + c2 z^2 + ... + r4 P4(t) + r5 P5(t) + ..., metres, on [min_m, max_m]; held at the ends outside.
 
-    P4, P5, ... are Legendre's polynomials; t goes from -1 at min_m to 1 at max_m.
+    P4, P5, ... are Legendre's polynomials; t goes from -1 at min_m to 1 at max_m. data_m is the range of the data, where the
+    curve goes on beyond it.
     """
 
     coefficients: Annotated[list[Finite], Field(min_length=1, max_length=8)]
@@ -75,11 +76,14 @@ class DepthBiasModel(Model):
     """t is of the distance along the pixel's ray, in place of z."""
     rms_m: Finite = 0.0
     covariance: list[list[Finite]] | None = None
+    data_m: tuple[Finite, Finite] | None = None
 
     @model_validator(mode="after")
     def _range(self) -> DepthBiasModel:
         if not self.min_m < self.max_m:
             raise ValueError(f"min_m {self.min_m} is not below max_m {self.max_m}")
+        if self.data_m is not None and not self.min_m <= self.data_m[0] < self.data_m[1] <= self.max_m:
+            raise ValueError(f"data_m {list(self.data_m)} is no range within {self.min_m} to {self.max_m}")
         n = len(self.coefficients) + len(self.ripple_m)
         if self.covariance is not None and [len(row) for row in self.covariance] != [n] * n:
             raise ValueError(f"covariance is not {n} x {n}, one row for each coefficient")
@@ -96,13 +100,21 @@ class DepthBiasModel(Model):
             max_m=bias.max_m,
             rms_m=bias.rms_m,
             covariance=covariance,
+            data_m=bias.data_m,
         )
 
     def value(self) -> DepthBias:
         covariance = None if self.covariance is None else np.array(self.covariance)
         ripple_m = tuple(self.ripple_m)
         return DepthBias(
-            tuple(self.coefficients), self.min_m, self.max_m, self.rms_m, covariance, ripple_m, self.along_ray
+            tuple(self.coefficients),
+            self.min_m,
+            self.max_m,
+            self.rms_m,
+            covariance,
+            ripple_m,
+            self.along_ray,
+            self.data_m,
         )
 
 

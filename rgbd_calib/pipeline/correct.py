@@ -42,8 +42,8 @@ class Corrected:
     depth_images: int
     lost_pixels: int
     """Measured depth pixels that do not fit 16 bits, or are not positive, once corrected; they became 0."""
-    held_pixels: int
-    """Measured depth pixels outside the range that the bias was fitted on: corrected as at its end."""
+    outside_pixels: int
+    """Measured depth pixels outside the range of the data that the bias rests on: corrected less surely."""
 
 
 @dataclass(frozen=True)
@@ -77,12 +77,12 @@ def correct_depth(
     depth_raw: np.ndarray, scale: float, camera: RigCamera, geometry: Geometry = "color"
 ) -> tuple[np.ndarray, int, int]:
     """Depth (h, w), uint16 in units of `scale`, as the sensor would have reported it without errors, in the colour camera's
-    geometry, or pixel by pixel in the depth camera's own; and how many pixels were lost and held.
+    geometry, or pixel by pixel in the depth camera's own; and how many pixels were lost and outside.
 
     Returns
     -------
-    corrected, lost, held
-        Rounded to the unit. Lost: not in 1 ... 65535 any more, set to 0. Held: outside the range of the data.
+    corrected, lost, outside
+        Rounded to the unit. Lost: not in 1 ... 65535 any more, set to 0. Outside: the range of the data.
     """
     bias, measured, z_m = camera.depth_bias, depth_raw > 0, depth_raw * scale
     if geometry == "depth" and (bias is not None or camera.depth_field is not None):
@@ -97,9 +97,10 @@ def correct_depth(
         return depth_raw, 0, 0
     units = np.rint(np.nan_to_num(true_m) / scale)
     fits = (units >= 1) & (units <= np.iinfo(np.uint16).max)
-    held = measured & ((z_m < bias.min_m) | (z_m > bias.max_m)) if bias is not None else measured & False
+    low_m, high_m = (0.0, np.inf) if bias is None else bias.measured_m
+    outside = measured & ((z_m < low_m) | (z_m > high_m))
     lost = int(np.count_nonzero(np.isfinite(true_m) & ~fits))
-    return np.where(fits, units, 0).astype(np.uint16), lost, int(np.count_nonzero(held))
+    return np.where(fits, units, 0).astype(np.uint16), lost, int(np.count_nonzero(outside))
 
 
 @one_blas_thread
@@ -154,9 +155,9 @@ def correct(
         info, to = infos[camera], maps[camera]
         units = np.nan_to_num(np.rint(recording.depth_own_m(camera, frame) / info.depth_scale))
         depth_raw = np.where(units < NO_MEASUREMENT, units, 0).astype(np.uint16)
-        corrected, lost, held = correct_depth(depth_raw, info.depth_scale, rig.cameras[camera], geometry)
+        corrected, lost, outside = correct_depth(depth_raw, info.depth_scale, rig.cameras[camera], geometry)
         save_depth(out, camera, frame, corrected if to is None else _nearest(corrected, to))
-        return lost, held
+        return lost, outside
 
     work: list[tuple[Callable[[str, str], tuple[int, int]], str, str]] = []
     for camera in cameras:
@@ -178,9 +179,9 @@ def correct(
     summary = {}
     for camera in cameras:
         own = [result for result, job in zip(results, work, strict=True) if job[1] == camera]
-        lost, held = (sum(column) for column in zip(*own, strict=True))
+        lost, outside = (sum(column) for column in zip(*own, strict=True))
         counts = len(recording.color_files[camera]), len(recording.depth_files[camera])
-        summary[camera] = Corrected(*counts, lost, held)
+        summary[camera] = Corrected(*counts, lost, outside)
     return summary
 
 

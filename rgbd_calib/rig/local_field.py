@@ -33,8 +33,10 @@ BANDS = 12
 """Of spatial frequency: the spectrum is smooth."""
 LEAST_SEEN = 0.5
 """Share of the walls in which a cell must be seen."""
-ROUNDS = 40
+ROUNDS = 400
 """Of expectation and maximisation."""
+FILLINGS = 8
+"""Rounds in which cells that were not seen take what the pattern has there."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +46,9 @@ class LocalField(CellPattern):
     sizes: FloatArray
     """(bands, powers, powers), covariance of the pattern's spectrum."""
     noise: FloatArray
-    """(bands,), variance of the spectrum of one wall's error over z^2."""
+    """(bands,), variance of the spectrum of one wall's error over z^2, the mean over the walls."""
+    of_wall: FloatArray
+    """(walls,), each wall's over the mean: depth in whole units is noisier near the camera."""
 
     def error_m(self, pixels_px: FloatArray, z_m: FloatArray, size_px: FloatArray) -> FloatArray:
         key = pixels_px.shape, pixels_px.tobytes(), tuple(size_px)
@@ -95,29 +99,52 @@ def local_field(
     z = np.sum(depth_m * known, axis=(1, 2)) / known.sum(axis=(1, 2))
     A = z[:, None] ** (np.array(POWERS, float) - 2)  # (walls, powers)
     band = _bands(*q.shape[1:])
-    members = [np.flatnonzero(band.ravel() == b) for b in range(BANDS)]
     count = np.bincount(band.ravel(), minlength=BANDS)
     noise = np.full(BANDS, float(np.mean(q[known] ** 2)))
     sizes = np.eye(len(POWERS)) * noise[:, None, None]
     if start is not None:
         sizes, noise = start.sizes, start.noise
-    at = dctn(q, axes=(1, 2), norm="ortho")  # (walls, rows, columns)
-    for k in range(ROUNDS):
-        posterior = np.linalg.inv(np.linalg.inv(sizes) + A.T @ A / noise[:, None, None])  # (bands, powers, powers)
-        of_powers = np.einsum("wq,wrc->rcq", A, at, optimize=True) / noise[band][..., None]
-        mean = (posterior[band] @ of_powers[..., None])[..., 0]
-        flat = mean.reshape(-1, len(POWERS))
-        outer = np.stack([flat[own].T @ flat[own] for own in members])
-        sizes = outer / count[:, None, None] + posterior
-        left = np.sum((at - np.einsum("wp,rcp->wrc", A, mean, optimize=True)) ** 2, axis=0)
-        lost = np.einsum("wp,bpq,wq->b", A, posterior, A)
-        noise = (np.bincount(band.ravel(), left.ravel(), BANDS) / count / known.mean() + lost) / len(q)
-        if k == ROUNDS - 1 or not known.all():
-            values = idctn(mean, axes=(0, 1), norm="ortho")
-        if not known.all():
-            at = dctn(np.where(known, q, np.einsum("wp,rcp->wrc", A, values)), axes=(1, 2), norm="ortho")
+    of_wall = np.ones(len(q)) if start is None or len(start.of_wall) != len(q) else start.of_wall
+    filled = q
+    for _ in range(1 if known.all() else FILLINGS):
+        at = dctn(filled, axes=(1, 2), norm="ortho")
+        sizes, noise, of_wall, posterior = _spectra(at, A, band, (sizes, noise, of_wall), float(known.mean()))
+        gain = posterior @ A.T / (noise[:, None, None] * of_wall)
+        mean = np.einsum("rcpw,wrc->rcp", gain[band], at, optimize=True)
+        values = idctn(mean, axes=(0, 1), norm="ortho")
+        filled = np.where(known, q, np.einsum("wp,rcp->wrc", A, values))
     covariance = np.einsum("b,bpq->pq", count / band.size, posterior)
-    return LocalField(POWERS, values.transpose(2, 0, 1), covariance, sizes=sizes, noise=noise)
+    return LocalField(POWERS, values.transpose(2, 0, 1), covariance, sizes=sizes, noise=noise, of_wall=of_wall)
+
+
+def _spectra(
+    at: FloatArray, A: FloatArray, band: IntArray, start: tuple[FloatArray, FloatArray, FloatArray], share_known: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Of spectra (walls, rows, columns), by expectation and maximisation from `start`: the covariance of the pattern's
+    (bands, powers, powers), the variance of the noise's (bands,) with a factor for each wall (walls,), and the covariance
+    of the pattern given the data, (bands, powers, powers).
+
+    Before the data, all sizes of the pattern are as likely as in Jeffreys' prior of a covariance: few frequencies that agree
+    by chance are no pattern. The data tell by the mean products of the walls alone, so that many rounds cost nothing: sizes
+    that are truly zero are approached slowly.
+    """
+    flat, (sizes, noise, of_wall) = at.reshape(len(at), -1), start
+    members = [np.flatnonzero(band.ravel() == b) for b in range(BANDS)]
+    products = np.stack([flat[:, own] @ flat[:, own].T / len(own) for own in members])
+    count = np.array([len(own) for own in members])
+    share, shrunk = count / band.size, count / (count + len(sizes[0]) + 1)
+    for _ in range(ROUNDS):
+        carried = sizes @ A.T  # (bands, powers, walls)
+        own = noise[:, None] * of_wall
+        gain = carried @ np.linalg.inv(A @ carried + own[:, :, None] * np.eye(len(A)))
+        posterior, off = sizes - gain @ A @ sizes, np.eye(len(A)) - A @ gain
+        left = np.einsum("bij,bjk,bik->bi", off, products, off, optimize=True) / share_known
+        left += np.einsum("wp,bpq,wq->bw", A, posterior, A, optimize=True)
+        sizes = shrunk[:, None, None] * (gain @ products @ gain.transpose(0, 2, 1) + posterior)
+        noise = np.mean(left / of_wall, axis=1)
+        of_wall = share @ (left / noise[:, None])
+        of_wall /= of_wall.mean()
+    return sizes, noise, of_wall, posterior
 
 
 def _rough(q: FloatArray, known: BoolArray) -> FloatArray:

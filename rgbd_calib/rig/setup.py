@@ -31,7 +31,7 @@ class BundleParams:
     hold: tuple[str, ...] = ()
     """Blocks of unknowns that are held at zero instead, by name."""
     free_intrinsics: bool = True
-    free_k3: bool = False
+    free_k3: bool = True
     free_bow: bool = True
     bow_sd_m: float = 0.001
     """Prior of the board's bow: boards are flat to about a millimetre."""
@@ -44,6 +44,8 @@ class BundleParams:
     weak_centre: float = 0.1
     """The same for the principal point, as a share of the image's width."""
     weak_distortion: float = 0.5
+    k3_px: float = 5.0
+    """Prior of what k3 moves in the image's corner: few views must not buy a wild polynomial."""
     given_focal: float = 0.005
     """Prior of focal lengths that were given in a file without standard deviations."""
     given_centre: float = 0.005
@@ -53,7 +55,7 @@ class BundleParams:
     bias_scale_sd: float = 0.010
     """Prior of the depth's scale without a bias recording: consumer sensors are good to 1 %."""
     bias_curvature_sd_per_m: float = 0.005
-    """Prior of the depth bias's quadratic term without a bias recording; of each further term a fifth of the one before."""
+    """Prior of the depth bias's quadratic term without a bias recording; of each further term a twenty-fifth of the one before."""
     tof_offset_sd_m: float = 0.025
     """The same as bias_offset_sd_m for time of flight, which errs by centimetres, and by more near the camera."""
     tof_scale_sd: float = 0.020
@@ -82,6 +84,8 @@ class BundleParams:
     """Prior of its turn."""
     registration_baseline_sd_m: float = 0.003
     """Prior of what is wrong with the baseline that the driver registers with, each way."""
+    depth_tilt_sd_rad: float = 0.003
+    """Prior of the depth's axis turned against the colour camera's, each way: what moves its image by a pixel or two."""
     depth_focal_sd: float = 0.01
     """Prior of a depth camera's focal lengths, of the factory or nominal, as a share of them."""
     depth_centre_sd: float = 0.015

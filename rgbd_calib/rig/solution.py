@@ -119,9 +119,10 @@ class Solution:
             ripple = tuple(self.state.values["depth ripple"][i].tolist())
         low, high = (float(z) for z in block.range_m[i])
         coefficients = tuple(float(c) for c in self.state.values["depth bias"][i, :n])
-        return DepthBias(
-            coefficients, low, high, self.depth_rms_m(camera), self.covariance[np.ix_(at, at)], ripple, tof
-        )
+        first, last = (float(z) for z in block.data_m[i])
+        data_m = None if (first, last) == (low, high) else (first, last)
+        covariance = self.covariance[np.ix_(at, at)]
+        return DepthBias(coefficients, low, high, self.depth_rms_m(camera), covariance, ripple, tof, data_m)
 
     def depth_field(self, camera: str) -> DepthField | None:
         """What its depth errs by over the image; None where that is held at zero."""
@@ -147,7 +148,8 @@ class Solution:
         i = self.cameras.index(camera)
         if "registration" not in self.problem.parts or not self.has_depth[i] or self.prior_of(camera).same_sensor:
             return None
-        return registration.depth_camera(self.intrinsics(camera), self.state.values["registration"][i])
+        tilt_rad = self.state.values["depth tilt"][i] if "depth tilt" in self.problem.parts else np.zeros(2)
+        return registration.depth_camera(self.intrinsics(camera), self.state.values["registration"][i], tilt_rad)
 
     def depth_rms_m(self, camera: str) -> float:
         """RMS of the depth residuals that were used, metres."""

@@ -186,6 +186,7 @@ def place_derivatives(rig: Rig, name: str, observed: Observed) -> dict[str, Floa
         stretch = np.linalg.norm(own.depth_sensor.camera.intrinsics.rays(observed.depth_pixels_px), axis=1)
         shapes = ray[..., None] * bias.by_parameters(observed.raw_m, stretch)[:, None]
         out["depth bias"], out["depth ripple"] = np.split(shapes, [len(bias.coefficients)], axis=-1)
+    out["depth tilt"] = ray[..., None] * p[:, None, :2]
     if isinstance(own.depth_field, PolynomialField):
         shapes = own.depth_field.by_parameters(observed.depth_pixels_px, observed.raw_m)
         out["depth field"] = ray[..., None] * shapes[:, None]

@@ -20,6 +20,7 @@ from rgbd_calib.rig.blocks.depth_error import DepthErrorBlock
 from rgbd_calib.rig.blocks.depth_field import DepthField
 from rgbd_calib.rig.blocks.depth_range import DepthRange
 from rgbd_calib.rig.blocks.depth_ripple import DepthRipple
+from rgbd_calib.rig.blocks.depth_tilt import DepthTilt
 from rgbd_calib.rig.blocks.intrinsics import IntrinsicsBlock
 from rgbd_calib.rig.blocks.pixel_field import PixelField
 from rgbd_calib.rig.blocks.registration import Registration
@@ -32,6 +33,7 @@ ESTIMATED: tuple[type[Block], ...] = (
     DepthBiasBlock,
     DepthRipple,
     DepthField,
+    DepthTilt,
     Registration,
     Tape,
     BoardBow,

@@ -1,4 +1,8 @@
-"""The depth's error along the range: z_true = z + c0 + c1 z + c2 z^2 + ..., z held to the range of the data."""
+"""The depth's error along the range: z_true = z + c0 + c1 z + c2 z^2 + ..., z held to a range somewhat beyond the data's.
+
+An error of a triangulating sensor's disparity d that is a polynomial of the second degree in d ~ 1 / z is exactly c0 + c1 z +
+c2 z^2; so the curve goes on where no board was, with the covariance that it has there. What bends it once more is small.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +17,11 @@ from rgbd_calib.rig.blocks.block import BlockPrior, Fault
 from rgbd_calib.rig.blocks.depth_error import LinearDepthErrorBlock
 from rgbd_calib.rig.setup import N_WEAK_BIAS, BundleParams
 from rgbd_calib.types import DepthBias
+
+BEYOND = 1.3
+"""Times the range of the data, on either end, up to which the curve of a triangulating sensor goes on."""
+FURTHER = 25.0
+"""Prior of each coefficient from the third on, over that of the one before."""
 
 
 class DepthBiasBlock(LinearDepthErrorBlock):
@@ -46,8 +55,8 @@ class DepthBiasBlock(LinearDepthErrorBlock):
         return tuple(f"depth bias c{k}" for k in range(max(self.n_own(c) for c in range(self.sets))))
 
     @cached_property
-    def range_m(self) -> FloatArray:
-        """(C, 2): where each bias is a polynomial; the prior's range, else the range of the data."""
+    def data_m(self) -> FloatArray:
+        """(C, 2): the range of the data; the prior's where the bias is given."""
         obs, walls, ranges = self.setup.obs, self.setup.walls, []
         for i, prior in enumerate(self.setup.priors):
             z = obs.depth_m[(obs.camera == i)[:, None] & obs.has_depth]
@@ -57,6 +66,13 @@ class DepthBiasBlock(LinearDepthErrorBlock):
             else:
                 ranges.append((float(z.min()), float(z.max())) if len(z) else (0.0, 1.0))
         return np.array(ranges)
+
+    @cached_property
+    def range_m(self) -> FloatArray:
+        """(C, 2): where each bias is a polynomial."""
+        given = [prior.bias is not None and not prior.bias_is_start for prior in self.setup.priors]
+        fixed = np.array(given) | [prior.time_of_flight for prior in self.setup.priors]
+        return np.where(fixed[:, None], self.data_m, self.data_m * [1 / BEYOND, BEYOND])
 
     def start(self) -> FloatArray:
         out = np.zeros((self.sets, self.n))
@@ -105,5 +121,5 @@ def _information(bias: DepthBias | None, n: int, params: BundleParams, time_of_f
     offset, scale, curvature = params.bias_offset_sd_m, params.bias_scale_sd, params.bias_curvature_sd_per_m
     if time_of_flight:
         offset, scale, curvature = params.tof_offset_sd_m, params.tof_scale_sd, params.tof_curvature_sd_per_m
-    sd = [offset, scale, *(curvature / 5.0**k for k in range(max(n - 2, 0)))]
+    sd = [offset, scale, *(curvature / FURTHER**k for k in range(max(n - 2, 0)))]
     return np.diag(1 / np.square(sd[:n]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import Block, BlockPrior, Fault, Kind, Scope
 from rgbd_calib.rig.setup import BundleParams, CameraPrior
@@ -97,4 +98,10 @@ def _standard_deviations(prior: CameraPrior, params: BundleParams) -> FloatArray
     lens = np.full(len(own.distortion), distortion)
     if own.model == "opencv":
         lens[2:4] /= 10  # tangential
+        lens[4:5] = np.minimum(lens[4:5], params.k3_px / (own.fx * _corner_radius(own) ** 7))
     return np.concatenate([sd, lens])
+
+
+def _corner_radius(lens: Intrinsics) -> float:
+    """Of the image's corner from its principal point, in focal lengths."""
+    return float(np.hypot(max(lens.cx, lens.width - lens.cx) / lens.fx, max(lens.cy, lens.height - lens.cy) / lens.fy))

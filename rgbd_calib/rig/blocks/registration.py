@@ -67,11 +67,11 @@ class Registration(Block):
         return look.by_shift[:, :, None] @ self.by_parameters(look.camera, look.pixels_px, look.depth_m)
 
 
-def depth_camera(lens: Intrinsics, values: FloatArray) -> DepthCamera:
-    """The camera that a depth image of this registration (7,) is of."""
+def depth_camera(lens: Intrinsics, values: FloatArray, tilt_rad: FloatArray) -> DepthCamera:
+    """The camera that a depth image of this registration (7,) is of, its axis turned by the tilts (2,), which move no pixel."""
     a, c, m_u, m_v, turn, b_x, b_y = values.tolist()
     vector = lens.vector.copy()
     vector[:4] *= [1 + m_u, 1 + m_v, 1.0, 1.0]
-    vector[2:4] += [a, c]
-    T_depth_color = se3.make(so3.exp(np.array([0.0, 0.0, turn])), np.array([b_x, b_y, 0.0]))
+    vector[2:4] += [a, c] - vector[:2] * tilt_rad
+    T_depth_color = se3.make(so3.exp(np.array([-tilt_rad[1], tilt_rad[0], turn])), np.array([b_x, b_y, 0.0]))
     return DepthCamera(lens.with_vector(vector), se3.inverse(T_depth_color))
