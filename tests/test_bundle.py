@@ -188,6 +188,52 @@ def test_a_sure_depth_bias_does_not_hide_what_the_recording_tells_of_the_lenses(
     )  # 2 px at the start
 
 
+def test_the_axis_of_the_depth_is_found_and_stands_in_the_depth_camera() -> None:
+    rng = np.random.default_rng(8)
+    rig, tilt_rad = sv.arc(2, biased=True), np.array([0.0025, -0.0015])
+
+    def tilted(placed: PlacedView) -> PlacedView:
+        if placed.view.camera != "C2":
+            return placed
+        rays = rig.cameras["C2"].intrinsics.rays(placed.view.corners_px)[:, :2]
+        return replace(placed, view=replace(placed.view, depth_m=placed.view.depth_m / (1 + rays @ tilt_rad)))
+
+    views = [tilted(placed) for placed in draw(rig, sv.BOARD, 20, rng)]
+    T = {name: own.T_world_color for name, own in rig.cameras.items()}
+    few = BundleParams(hold=("depth field",))  # which tells them apart only by how they grow with the distance
+    sure = np.r_[np.full(4, 0.05), np.full(5, 1e-4)]  # a centre that is off turns the camera, and so the depth's axis
+    priors = {name: CameraPrior(own.intrinsics, sure, False, own.depth_bias) for name, own in rig.cameras.items()}
+    result = bundle(views, sv.BOARD, priors, T, "C1", few)
+    at = result.index("depth tilt", "C2")
+    error, covariance = result.state.values["depth tilt"][1] - tilt_rad, result.covariance[np.ix_(at, at)]
+    assert np.all(np.sqrt(np.diag(covariance)) < 1e-3)
+    assert error @ np.linalg.solve(covariance, error) < 11.8  # 3 sigma of two
+    found = result.depth_camera("C2")
+    assert found is not None
+    pixels_px = np.array([[50.0, 50.0], [600.0, 100.0], [300.0, 450.0]])
+    ahead_m = se3.transform(found.T_color_depth, found.intrinsics.unproject(pixels_px, np.full(3, 2.0)))[:, 2]
+    rays = found.intrinsics.rays(pixels_px)[:, :2]
+    assert ahead_m == pytest.approx(2.0 * (1 + rays @ result.state.values["depth tilt"][1]), abs=1e-4)
+
+
+def test_depth_beyond_the_data_goes_on_as_the_curve_does_and_says_how_surely() -> None:
+    rng = np.random.default_rng(9)
+    rig = sv.arc(2, biased=True)
+    T = {name: own.T_world_color for name, own in rig.cameras.items()}
+    views = draw(rig, sv.BOARD, 20, rng)
+    result = bundle(views, sv.BOARD, priors_of(rig, rng, with_bias=False), T, "C1")
+    for name, own in rig.cameras.items():
+        found = result.depth_bias(name)
+        assert found is not None and own.depth_bias is not None and found.data_m is not None
+        measured = np.concatenate([p.view.depth_m for p in views if p.view.camera == name])
+        assert found.measured_m == (np.nanmin(measured), np.nanmax(measured))
+        assert (found.min_m, found.max_m) == pytest.approx(found.measured_m * np.array([1 / 1.3, 1.3]))
+        beyond_m = np.linspace(*found.measured_m, 7)[-1] * 1.2
+        error_m, sd_m = found.correct(beyond_m) - own.depth_bias.correct(beyond_m), found.standard_error(beyond_m)
+        assert abs(error_m) < 3 * sd_m
+        assert sd_m > found.standard_error(found.measured_m[1])
+
+
 def test_depth_that_is_rounded_more_than_noisy_weighs_less() -> None:
     rng = np.random.default_rng(3)
     rig = sv.arc(2, biased=True)

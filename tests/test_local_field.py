@@ -32,8 +32,8 @@ def test_noise_is_not_taken_for_a_pattern(correlation_cells):
     assert found is not None and found.powers == POWERS
     at_3_m = sum(values * 3.0**power for power, values in zip(found.powers, found.values, strict=True))
     # ten walls would leave 4.5 mm / sqrt(10) = 1.4 mm if all were believed
-    assert at_3_m.std() < 0.4e-3
-    assert found.variance_m2(np.array([3.0]))[0] < (0.7e-3) ** 2  # half of that
+    assert at_3_m.std() < 0.05e-3
+    assert found.variance_m2(np.array([3.0]))[0] < (0.1e-3) ** 2
 
 
 def test_a_pattern_is_found_and_its_error_is_stated():
