@@ -141,9 +141,8 @@ def expected_alignment(
     if not often.any():
         return None
     kept = {name: o.only(often) for name, o in observed.items()}
-    derivatives = {name: place_derivatives(rig, name, o) for name, o in kept.items()}
-    patterns = {name: _pattern_covariance(rig, name, o) for name, o in kept.items()}
-    parts = {name: _parts(joint.parameters[name], derivatives[name]) for name in names}
+    patterns = {name: pattern_covariance(rig, name, o) for name, o in kept.items()}
+    parts = {name: by_parameters(rig, name, o, joint) for name, o in kept.items()}
     pairs = {}
     for a, b in combinations(names, 2):
         both = kept[a].seen & kept[b].seen
@@ -156,8 +155,9 @@ def expected_alignment(
     return ExpectedAlignment(points_m[often], pairs)
 
 
-def _parts(own: Mapping[str, IntArray], derivatives: Mapping[str, FloatArray]) -> tuple[IntArray, FloatArray]:
-    """Where the parameters stand that are uncertain, (k,), and the derivative by them (n, 3, k)."""
+def by_parameters(rig: Rig, name: str, observed: Observed, joint: JointCovariance) -> tuple[IntArray, FloatArray]:
+    """Where the camera's uncertain parameters stand in the covariance, (k,), and derivatives of its places by them (n, 3, k)."""
+    own, derivatives = joint.parameters[name], place_derivatives(rig, name, observed)
     used = {name: index[: derivatives[name].shape[-1]] for name, index in own.items() if name in derivatives}
     J = [derivatives[name][..., : len(index)] for name, index in used.items()]
     return np.concatenate(list(used.values())), np.concatenate(J, axis=-1)
@@ -192,7 +192,7 @@ def place_derivatives(rig: Rig, name: str, observed: Observed) -> dict[str, Floa
     return out
 
 
-def _pattern_covariance(rig: Rig, name: str, observed: Observed) -> FloatArray:
+def pattern_covariance(rig: Rig, name: str, observed: Observed) -> FloatArray:
     """(n, 3, 3), m^2, of a camera's places, from the fine pattern of its depth, which is no parameter of the rig."""
     own = rig.cameras[name]
     if not isinstance(own.depth_field, PolynomialField):
