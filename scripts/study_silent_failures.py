@@ -140,7 +140,7 @@ def calibrate_session(session: Session, folder: Path) -> Calibration:
     elif session.close is not None:
         lenses = folder / "intrinsic"
         close = detections_from(open_recording(lenses), folder / "intrinsic.csv", DetectParams(), None, silent)
-    if session.wall_cells is not None:
+    if session.walls is not None and session.wall_cells is not None:
         bias = folder / "depth_bias"
     elif session.walls is not None:
         bias = folder / "depth_bias.yaml"
@@ -250,7 +250,8 @@ def bound_95_mm(result: Calibration, session: Session, rng: np.random.Generator,
         seen[name] = observed.seen
         at, J = uncertainty.by_parameters(rig, name, observed, joint)
         pattern = np.linalg.cholesky(uncertainty.pattern_covariance(rig, name, observed) + 1e-18 * np.eye(3))
-        moved[name] = J @ theta[at] + pattern @ rng.standard_normal((len(points), 3, draws))
+        held = uncertainty.by_held_depth(rig, name, observed)[..., None] * rng.standard_normal(draws)
+        moved[name] = J @ theta[at] + pattern @ rng.standard_normal((len(points), 3, draws)) + held
     apart = [
         np.linalg.norm(moved[a] - moved[b], axis=1)[seen[a] & seen[b]] for a, b in combinations(rig.cameras, 2)
     ]
