@@ -156,8 +156,11 @@ def calibrate_session(session: Session, folder: Path) -> Calibration:
 def with_true_depth(rig: Rig, session: Session) -> Rig:
     """Cameras that had no depth are judged by their pose and lens alone."""
     blind = {c for c in rig.cameras if not any(np.isfinite(v.depth_m).any() for v in session.views if v.camera == c)}
+    true = session.truth.cameras
     cameras = {
-        c: replace(own, depth_bias=session.truth.cameras[c].depth_bias) if c in blind else own
+        c: replace(own, depth_bias=true[c].depth_bias, depth_field=true[c].depth_field, depth_camera=true[c].depth_camera)
+        if c in blind
+        else own
         for c, own in rig.cameras.items()
     }
     return replace(rig, cameras=cameras)
