@@ -148,6 +148,22 @@ def test_pixels_that_no_longer_fit_become_zero_and_are_counted():
     out, lost, held = correct_depth(np.array([[0, 100, 1000, 65000]], np.uint16), 0.001, camera)
     # 0.1 m: the correction is held at that of 0.6 m, -0.44 m; 65 m: held at that of 60 m, +5.5 m
     assert out.tolist() == [[0, 0, 600, 0]] and (lost, held) == (2, 2)
+    out, lost, held = correct_depth(np.array([[0, 100, 1000, 650]], np.uint16), 0.001, camera, within_range=True)
+    assert out.tolist() == [[0, 0, 600, 215]] and (lost, held) == (0, 1)
+
+
+def test_depth_outside_the_range_of_the_bias_is_told_and_can_be_left_out(run, tiny, tmp_path):
+    own = {n: replace(c, depth_bias=DepthBias((0.01,), 0.5, 1.2, 0.0)) for n, c in tiny.rig.cameras.items()}
+    write_rig(tmp_path / "near.yaml", replace(tiny.rig, cameras=own))
+    for name, more, said in (("a", (), "corrected as at its end"), ("b", ("--within-range",), "left out")):
+        done = run("correct", tiny.recording, "--rig", tmp_path / "near.yaml", "-o", tmp_path / name, *more)
+        assert done.status == 0 and "% of the depth pixels outside the range of the bias's data" in done.stderr
+        assert said in done.stderr
+        fused = run("fuse", tiny.recording, "--rig", tmp_path / "near.yaml", "-o", tmp_path / f"{name}.ply", *more)
+        assert "outside the range of the bias's data" in fused.stderr
+        assert ("left out" in fused.stderr.split("C2")[1]) == bool(more)
+    raw = open_recording(tmp_path / "b").depth_m("C2", "000000")
+    assert np.nanmax(raw, initial=0) <= 1.21
 
 
 def test_a_recording_is_not_corrected_twice(run, tiny, tmp_path):

@@ -113,7 +113,11 @@ def test_held_outside_the_range_of_the_data():
     assert (bias.min_m, bias.max_m) == (0.8, 2.4)
     ends = polynomial.polyval(np.array([0.8, 2.4]), C)
     np.testing.assert_allclose(bias.correct(np.array([0.3, 5.0])) - [0.3, 5.0], ends, atol=1e-9)
-    assert bias.standard_error(5.0) == pytest.approx(float(bias.standard_error(2.4)))
+    assert bias.outside(np.array([0.79, 0.8, 2.4, 2.41])).tolist() == [True, False, False, True]
+    slope = C[1] + 2 * C[2] * 2.4  # not followed beyond the end, where it may also change by 1 % of the depth
+    held_m = (5.0 - 2.4) * np.hypot(slope, 0.01)
+    assert bias.held_sd_m(np.array([1.0, 5.0])) == pytest.approx([0.0, held_m], rel=1e-6)
+    assert bias.standard_error(5.0) == pytest.approx(np.hypot(bias.standard_error(2.4), held_m), rel=1e-6)
 
 
 @pytest.mark.parametrize("n", [0, 1, 3])

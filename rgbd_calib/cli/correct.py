@@ -14,6 +14,7 @@ from rgbd_calib.cli.options import (
     recording_argument,
     refuse_existing,
     say,
+    within_range_option,
 )
 
 
@@ -28,6 +29,7 @@ from rgbd_calib.cli.options import (
     show_default=True,
     help="Geometry of the corrected depth: of the colour image, or its own, with its calibration in dataset.yaml.",
 )
+@within_range_option
 @jobs_option
 @output_option("the corrected recording, a folder")
 @overwrite_option
@@ -36,6 +38,7 @@ def command(
     rig_path: Path,
     undistort: bool,
     geometry: str,
+    within_range: bool,
     jobs: int | None,
     output: Path,
     overwrite: bool,
@@ -69,7 +72,7 @@ def command(
     if left_out(opened, rig):
         say(left_out(opened, rig))
     with whole_folder(output, overwrite) as folder:
-        summary = correct(opened, rig, folder, undistort, geometry, jobs, progress)  # type: ignore[arg-type]
+        summary = correct(opened, rig, folder, undistort, geometry, within_range, jobs, progress)  # type: ignore[arg-type]
     say(f"Corrected recording, and its rig.yaml -> {output}")
     for camera, done in summary.items():
         bias = "no depth bias in the rig" if rig.cameras[camera].depth_bias is None else "bias removed"
@@ -77,7 +80,7 @@ def command(
         if done.lost_pixels:
             notes.append(f"{done.lost_pixels} depth pixels no longer fit 16 bits and became 0")
         if done.outside_pixels:
-            notes.append(
-                f"{done.outside_pixels} depth pixels outside the range of the data that the bias rests on, corrected less surely"
-            )
+            what = "left out" if within_range else "corrected less surely"
+            share = done.outside_pixels / done.measured_pixels
+            notes.append(f"{share:.1%} of the depth pixels outside the range of the bias's data, {what}")
         say(f"  {camera}: {', '.join(notes)}")

@@ -6,7 +6,14 @@ from pathlib import Path
 
 import click
 
-from rgbd_calib.cli.options import output_option, overwrite_option, recording_argument, refuse_existing, say
+from rgbd_calib.cli.options import (
+    output_option,
+    overwrite_option,
+    recording_argument,
+    refuse_existing,
+    say,
+    within_range_option,
+)
 from rgbd_calib.errors import ConfigError
 
 VIEWS = ("front", "back", "left", "right", "top", "oblique")
@@ -34,6 +41,7 @@ VIEWS = ("front", "back", "left", "right", "top", "oblique")
 @click.option(
     "--max-depth", "max_depth_m", type=click.FloatRange(0, min_open=True), help="Leave out what is farther, metres."
 )
+@within_range_option
 @output_option("the cloud, a .ply file")
 @overwrite_option
 def command(
@@ -44,6 +52,7 @@ def command(
     image: bool,
     views: tuple[str, ...],
     max_depth_m: float | None,
+    within_range: bool,
     output: Path,
     overwrite: bool,
 ) -> None:
@@ -78,7 +87,7 @@ def command(
         say(left_out(opened, rig))
     if frame is None:
         frame = fuse.fullest_frame(opened, common_cameras(opened, rig))
-    params = fuse.FuseParams() if max_depth_m is None else fuse.FuseParams(max_depth_m=max_depth_m)
+    params = fuse.FuseParams(np.inf if max_depth_m is None else max_depth_m, within_range)
     clouds = fuse.clouds_of(opened, rig, frame, params)
 
     legend = {name: splat.camera_color(i) for i, name in enumerate(rig.cameras)}
@@ -95,7 +104,10 @@ def command(
     say(f"Frame {frame}: {len(points_m)} points of {len(clouds)} cameras -> {output}")
     for cloud in clouds:
         dropped = ", ".join(f"{count} {why}" for why, count in cloud.dropped.items() if count)
-        say(f"  {cloud.camera}: {len(cloud.points_m)} points" + (f"; left out: {dropped}" if dropped else ""))
+        notes = f"; left out: {dropped}" if dropped else ""
+        if cloud.outside:
+            notes += f"; {cloud.outside / len(cloud.points_m):.0%} outside the range of the bias's data, corrected less surely"
+        say(f"  {cloud.camera}: {len(cloud.points_m)} points{notes}")
     if pictures:
         in_order = sorted(rig.cameras, key=lambda name: name != rig.reference)
         poses = [rig.cameras[name].T_world_color for name in in_order]

@@ -35,6 +35,9 @@ overwrite_option = click.option(
     is_flag=True,
     help="Replace the output if it exists: a file, or a folder that rgbd-calib wrote. Other files in it are kept.",
 )
+within_range_option = click.option(
+    "--within-range", is_flag=True, help="Leave out depth outside the range of the data of the rig's depth bias."
+)
 seed_option = click.option("--seed", type=int, default=0, show_default=True, help="Seed of every random choice.")
 jobs_option = click.option(
     "--jobs", type=click.IntRange(1), default=None, help="Processes to use.  [default: as many as there are cores]"

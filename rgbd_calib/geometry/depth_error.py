@@ -21,10 +21,13 @@ from numpy.polynomial import legendre, polynomial
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import map_coordinates
 
+from rgbd_calib.geometry.linear import BoolArray
 from rgbd_calib.geometry.so3 import FloatArray
 
 RIPPLE_FROM = 4
 """Degree from which on what the depth errs by along the range is no bias, but goes up and down."""
+UNKNOWN_SLOPE = 0.01
+"""Change of a bias with depth where nothing was measured, one sigma: devices of all kinds are within some percent."""
 ErrorOfDepth = Callable[[FloatArray], FloatArray]
 """True less reported depth, metres, of reported depths at given pixels, both (...)."""
 
@@ -78,12 +81,27 @@ class DepthBias:
         z_m = np.asarray(z_m, float)
         return z_m + self.error_m(z_m, stretch)
 
+    def outside(self, z_m: FloatArray) -> BoolArray:
+        """Where reported depths are outside the range of the data; same shape."""
+        low_m, high_m = self.measured_m
+        return np.asarray((z_m < low_m) | (z_m > high_m))
+
+    def held_sd_m(self, z_m: FloatArray) -> FloatArray:
+        """One sigma, metres, same shape, of holding the correction outside [min_m, max_m]; zero inside.
+
+        The distance from the range times the slope at its end, which is not followed, and the unknown change of that slope.
+        """
+        ends_m = np.clip(z_m, self.min_m, self.max_m)
+        slope = polynomial.polyval(ends_m, polynomial.polyder(np.array(self.coefficients)))
+        return np.asarray(np.abs(z_m - ends_m) * np.hypot(slope, UNKNOWN_SLOPE))
+
     def standard_error(self, z_m: FloatArray) -> FloatArray:
         """One sigma of the correction at z_m, metres, same shape; needs the covariance."""
         if self.covariance is None:
             raise ValueError("this depth bias has no covariance")
         V = self.by_parameters(z_m)
-        return np.sqrt(np.einsum("...i,ij,...j->...", V, self.covariance, V)).reshape(np.shape(z_m))
+        fitted = np.einsum("...i,ij,...j->...", V, self.covariance, V).reshape(np.shape(z_m))
+        return np.sqrt(fitted + self.held_sd_m(np.asarray(z_m, float)) ** 2)
 
 
 def n_terms(degree: int) -> int:

@@ -43,7 +43,8 @@ class Corrected:
     lost_pixels: int
     """Measured depth pixels that do not fit 16 bits, or are not positive, once corrected; they became 0."""
     outside_pixels: int
-    """Measured depth pixels outside the range of the data that the bias rests on: corrected less surely."""
+    """Measured depth pixels outside the range of the bias's data: corrected less surely, or left out."""
+    measured_pixels: int
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ Geometry = Literal["color", "depth"]
 
 
 def correct_depth(
-    depth_raw: np.ndarray, scale: float, camera: RigCamera, geometry: Geometry = "color"
+    depth_raw: np.ndarray, scale: float, camera: RigCamera, geometry: Geometry = "color", within_range: bool = False
 ) -> tuple[np.ndarray, int, int]:
     """Depth (h, w), uint16 in units of `scale`, as the sensor would have reported it without errors, in the colour camera's
     geometry, or pixel by pixel in the depth camera's own; and how many pixels were lost and outside.
@@ -82,9 +83,14 @@ def correct_depth(
     Returns
     -------
     corrected, lost, outside
-        Rounded to the unit. Lost: not in 1 ... 65535 any more, set to 0. Outside: the range of the data.
+        Rounded to the unit. Lost: not in 1 ... 65535 any more, set to 0. Outside: the range of the data, set to 0 if
+        `within_range`.
     """
     bias, measured, z_m = camera.depth_bias, depth_raw > 0, depth_raw * scale
+    outside = measured & bias.outside(z_m) if bias is not None else np.zeros_like(measured)
+    if within_range:
+        depth_raw = np.where(outside, 0, depth_raw).astype(depth_raw.dtype)
+        measured = measured & ~outside
     if geometry == "depth" and (bias is not None or camera.depth_field is not None):
         points_m = camera.depth_image.points(np.where(measured, z_m, np.nan))
         true_m = se3.transform(se3.inverse(camera.depth_sensor.camera.T_color_depth), points_m)[..., 2]
@@ -94,11 +100,9 @@ def correct_depth(
     elif geometry == "color" and bias is not None:
         true_m = np.where(measured, bias.correct(z_m), np.nan)
     else:
-        return depth_raw, 0, 0
+        return depth_raw, 0, int(np.count_nonzero(outside))
     units = np.rint(np.nan_to_num(true_m) / scale)
     fits = (units >= 1) & (units <= np.iinfo(np.uint16).max)
-    low_m, high_m = (0.0, np.inf) if bias is None else bias.measured_m
-    outside = measured & ((z_m < low_m) | (z_m > high_m))
     lost = int(np.count_nonzero(np.isfinite(true_m) & ~fits))
     return np.where(fits, units, 0).astype(np.uint16), lost, int(np.count_nonzero(outside))
 
@@ -110,6 +114,7 @@ def correct(
     out: Path,
     undistort: bool = False,
     geometry: Geometry = "color",
+    within_range: bool = False,
     jobs: int | None = None,
     progress: Progress = silent,
 ) -> dict[str, Corrected]:
@@ -141,7 +146,7 @@ def correct(
     }
     maps = {c: undistort_map(rig.cameras[c].intrinsics) if undistort else None for c in cameras}
 
-    def do_color(camera: str, frame: str) -> tuple[int, int]:
+    def do_color(camera: str, frame: str) -> tuple[int, int, int]:
         source, to = recording.color_files[camera][frame], maps[camera]
         if to is None:
             target = out / camera / "color" / f"{frame}{source.suffix}"
@@ -149,17 +154,19 @@ def correct(
             target.write_bytes(read_bytes(source, MAX_BYTES))
         else:
             save_color(out, camera, frame, _bilinear(recording.color(camera, frame), to))
-        return 0, 0
+        return 0, 0, 0
 
-    def do_depth(camera: str, frame: str) -> tuple[int, int]:
+    def do_depth(camera: str, frame: str) -> tuple[int, int, int]:
         info, to = infos[camera], maps[camera]
         units = np.nan_to_num(np.rint(recording.depth_own_m(camera, frame) / info.depth_scale))
         depth_raw = np.where(units < NO_MEASUREMENT, units, 0).astype(np.uint16)
-        corrected, lost, outside = correct_depth(depth_raw, info.depth_scale, rig.cameras[camera], geometry)
+        corrected, lost, outside = correct_depth(
+            depth_raw, info.depth_scale, rig.cameras[camera], geometry, within_range
+        )
         save_depth(out, camera, frame, corrected if to is None else _nearest(corrected, to))
-        return lost, outside
+        return lost, outside, int(np.count_nonzero(depth_raw))
 
-    work: list[tuple[Callable[[str, str], tuple[int, int]], str, str]] = []
+    work: list[tuple[Callable[[str, str], tuple[int, int, int]], str, str]] = []
     for camera in cameras:
         work += [(do_color, camera, frame) for frame in recording.color_files[camera]]
         work += [(do_depth, camera, frame) for frame in recording.depth_files[camera]]
@@ -179,9 +186,9 @@ def correct(
     summary = {}
     for camera in cameras:
         own = [result for result, job in zip(results, work, strict=True) if job[1] == camera]
-        lost, outside = (sum(column) for column in zip(*own, strict=True))
+        lost, outside, measured = (sum(column) for column in zip(*own, strict=True))
         counts = len(recording.color_files[camera]), len(recording.depth_files[camera])
-        summary[camera] = Corrected(*counts, lost, outside)
+        summary[camera] = Corrected(*counts, lost, outside, measured)
     return summary
 
 

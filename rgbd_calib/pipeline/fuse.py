@@ -28,6 +28,8 @@ class FuseParams:
 
     max_depth_m: float = np.inf
     """Depth beyond this is left out."""
+    within_range: bool = False
+    """Depth outside the range of the data that the rig's depth bias rests on is left out."""
     jump: float = 0.02
     """A pixel that differs from one of its 8 neighbours by more than this share of its depth is left out: it lies on
     an edge, where sensors put points between the two surfaces. 2 % is a slope of 85 degrees at f = 525 px, and more
@@ -45,6 +47,8 @@ class Cloud:
     """(n, 3), uint8, R G B, from the colour image."""
     dropped: dict[str, int]
     """Pixels with a measurement that were left out, by reason."""
+    outside: int
+    """Points outside the range of the depth bias's data: corrected less surely."""
 
 
 def fullest_frame(recording: Recording, cameras: tuple[str, ...]) -> str:
@@ -127,7 +131,10 @@ def _cloud(recording: Recording, rig: Rig, name: str, frame: str, params: FusePa
     p_color = camera.depth_image.points(depth_m)
     lost = measured & ~np.isfinite(p_color).all(axis=-1)
     far = measured & ~jump & (p_color[..., 2] > params.max_depth_m)
-    kept = measured & ~jump & ~far & ~lost
+    bias = camera.depth_bias
+    outside = bias.outside(depth_m) & measured if bias is not None else np.zeros_like(measured)
+    beyond = outside & ~jump & ~far if params.within_range else np.zeros_like(measured)
+    kept = measured & ~jump & ~far & ~lost & ~beyond
     p_color = p_color[kept]
     if frame in recording.color_files[name]:
         at = np.rint(np.nan_to_num(camera.intrinsics.project(p_color), nan=-1e6)).astype(int)
@@ -140,6 +147,9 @@ def _cloud(recording: Recording, rig: Rig, name: str, frame: str, params: FusePa
     dropped = {
         "edge": int(np.count_nonzero(jump)),
         "too far": int(np.count_nonzero(far)),
+        "outside the range of the bias's data": int(np.count_nonzero(beyond)),
         "beyond the lens model": int(np.count_nonzero(lost & ~jump)),
     }
-    return Cloud(name, se3.transform(camera.T_world_color, p_color), colors, dropped)
+    return Cloud(
+        name, se3.transform(camera.T_world_color, p_color), colors, dropped, int(np.count_nonzero(outside & kept))
+    )

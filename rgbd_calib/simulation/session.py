@@ -89,19 +89,22 @@ def draw_scene(
     noise: ViewNoise | None = None,
     realism: Realism | None = None,
     lenses: Sequence[LensKind] = ("brown",),
+    size: tuple[int, int] = (640, 480),
+    shared_m: tuple[float, float] = _SHARED_M,
 ) -> Scene:
     """Draw a rig as `simulate` does, and boards anywhere in the images of two cameras at least.
 
-    `realism` None: lens distortion, depth bias and noise only. Lenses and poses do not depend on it.
+    `realism` None: lens distortion, depth bias and noise only. Lenses and poses do not depend on it. `size` is of the images, px,
+    in multiples of `CELL_PX`; `shared_m` the distances of the boards that the cameras share.
     """
     sizes = realism or IDEAL
     of_print, of_sensors, of_lenses = rng.spawn(3)
-    drawn = with_lenses(true_rig(n_cameras, layout, 640, 480, rng), lenses, of_lenses)
+    drawn = with_lenses(true_rig(n_cameras, layout, *size, rng), lenses, of_lenses)
     rig = Rig(drawn.cameras[0], drawn.rig_cameras)
     boards: dict[str, FloatArray] = {}
     while len(boards) < frames:
         name = drawn.cameras[len(boards) % n_cameras]
-        T = draw_board(rig, name, board, _SHARED_M, rng)
+        T = draw_board(rig, name, board, shared_m, rng)
         if len(_seen_by(rig, T, board)) >= 2:
             boards[f"{len(boards):06d}"] = T
     close: dict[str, dict[str, FloatArray]] = {}
@@ -218,10 +221,32 @@ def _at_centre(cells: FloatArray, lens: Intrinsics) -> float:
 
 
 def write_session(session: Session, folder: Path) -> None:
-    """Recordings extrinsic/ and intrinsic/ with empty image files, and their corners beside them as NAME.csv."""
+    """Recordings extrinsic/ and intrinsic/ with empty image files, their corners beside them as NAME.csv, and depth_bias/ with
+    the depth images of walls, where they have cells."""
     _write(folder, "extrinsic", session, session.views)
     if session.close is not None:
         _write(folder, "intrinsic", session, session.close)
+    if session.walls is not None and session.wall_cells is not None:
+        _write_walls(folder / "depth_bias", session, session.walls, session.wall_cells)
+
+
+def _write_walls(path: Path, session: Session, walls: dict[str, FloatArray], cells: dict[str, FloatArray]) -> None:
+    """A bias recording: each cell's mean at all of its pixels, in metres (the noise of single pixels is in the means)."""
+    infos = {c: CameraInfo(own.intrinsics.width, own.intrinsics.height) for c, own in session.truth.cameras.items()}
+    path.mkdir(parents=True)
+    write_dataset(path, infos, replace(session.board, square_m=min(session.board.square_m, 1.0)))
+    for camera, rows in walls.items():
+        width, height = infos[camera].width, infos[camera].height
+        for kind in ("color", "depth"):
+            (path / camera / kind).mkdir(parents=True)
+        frames = [f"{k:06d}" for k in range(len(rows))]
+        for frame, own in zip(frames, cells[camera], strict=True):
+            means = own[:, 2].reshape(height // CELL_PX, width // CELL_PX).astype(np.float32)
+            (path / camera / "color" / f"{frame}.png").touch()
+            np.save(path / camera / "depth" / f"{frame}.npy", means.repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1))
+        write_table(
+            path / camera / "distances.csv", ("frame", "distance_m"), zip(frames, rows[:, 1].tolist(), strict=True)
+        )
 
 
 def _write(folder: Path, name: str, session: Session, views: Sequence[BoardView]) -> None:

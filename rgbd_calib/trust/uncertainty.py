@@ -141,9 +141,9 @@ def expected_alignment(
     if not often.any():
         return None
     kept = {name: o.only(often) for name, o in observed.items()}
-    derivatives = {name: place_derivatives(rig, name, o) for name, o in kept.items()}
-    patterns = {name: _pattern_covariance(rig, name, o) for name, o in kept.items()}
-    parts = {name: _parts(joint.parameters[name], derivatives[name]) for name in names}
+    patterns = {name: pattern_covariance(rig, name, o) for name, o in kept.items()}
+    held = {name: by_held_depth(rig, name, o) for name, o in kept.items()}
+    parts = {name: by_parameters(rig, name, o, joint) for name, o in kept.items()}
     pairs = {}
     for a, b in combinations(names, 2):
         both = kept[a].seen & kept[b].seen
@@ -152,12 +152,14 @@ def expected_alignment(
             J = np.concatenate([parts[a][1][both], -parts[b][1][both]], axis=-1)
             pairs[a, b] = np.full(len(both), np.nan)
             S = J @ joint.matrix[np.ix_(at, at)] @ J.transpose(0, 2, 1)
-            pairs[a, b][both] = _mean_length(S + patterns[a][both] + patterns[b][both])
+            beyond = sum(held[c][both, :, None] * held[c][both, None, :] for c in (a, b))
+            pairs[a, b][both] = _mean_length(S + patterns[a][both] + patterns[b][both] + beyond)
     return ExpectedAlignment(points_m[often], pairs)
 
 
-def _parts(own: Mapping[str, IntArray], derivatives: Mapping[str, FloatArray]) -> tuple[IntArray, FloatArray]:
-    """Where the parameters stand that are uncertain, (k,), and the derivative by them (n, 3, k)."""
+def by_parameters(rig: Rig, name: str, observed: Observed, joint: JointCovariance) -> tuple[IntArray, FloatArray]:
+    """Where the camera's uncertain parameters stand in the covariance, (k,), and derivatives of its places by them (n, 3, k)."""
+    own, derivatives = joint.parameters[name], place_derivatives(rig, name, observed)
     used = {name: index[: derivatives[name].shape[-1]] for name, index in own.items() if name in derivatives}
     J = [derivatives[name][..., : len(index)] for name, index in used.items()]
     return np.concatenate(list(used.values())), np.concatenate(J, axis=-1)
@@ -193,14 +195,27 @@ def place_derivatives(rig: Rig, name: str, observed: Observed) -> dict[str, Floa
     return out
 
 
-def _pattern_covariance(rig: Rig, name: str, observed: Observed) -> FloatArray:
+def pattern_covariance(rig: Rig, name: str, observed: Observed) -> FloatArray:
     """(n, 3, 3), m^2, of a camera's places, from the fine pattern of its depth, which is no parameter of the rig."""
-    own = rig.cameras[name]
-    if not isinstance(own.depth_field, PolynomialField):
+    field = rig.cameras[name].depth_field
+    if not isinstance(field, PolynomialField):
         return np.zeros((len(observed.z_m), 3, 3))
-    ray = own.intrinsics.rays(observed.pixels_px) @ own.T_world_color[:3, :3].T
-    variance = own.depth_field.pattern_variance_m2(observed.raw_m)
-    return np.asarray(variance[:, None, None] * ray[..., :, None] * ray[..., None, :])
+    ray = _rays(rig, name, observed)
+    return np.asarray(field.pattern_variance_m2(observed.raw_m)[:, None, None] * ray[..., :, None] * ray[..., None, :])
+
+
+def by_held_depth(rig: Rig, name: str, observed: Observed) -> FloatArray:
+    """(n, 3), metres: one sigma of a camera's places, along the rays, where the depth bias is held outside its fitted range."""
+    bias = rig.cameras[name].depth_bias
+    if bias is None:
+        return np.zeros((len(observed.z_m), 3))
+    return bias.held_sd_m(observed.raw_m)[:, None] * _rays(rig, name, observed)
+
+
+def _rays(rig: Rig, name: str, observed: Observed) -> FloatArray:
+    """(n, 3), in the world, by which places move for each metre of depth."""
+    own = rig.cameras[name]
+    return own.intrinsics.rays(observed.pixels_px) @ own.T_world_color[:3, :3].T
 
 
 def _mean_length(S: FloatArray) -> FloatArray:

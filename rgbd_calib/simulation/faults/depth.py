@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rgbd_calib.geometry.depth_error import GridField
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation.faults.common import (
     Fault,
@@ -33,7 +34,27 @@ def _scaled_depth(factor: float, one: bool) -> Fault:
 
 named("depth in 0.1 mm, stated as mm")(_scaled_depth(10.0, False))
 named("depth of one camera in 0.1 mm, stated as mm")(_scaled_depth(10.0, True))
-named("depth of one camera 3 % too long")(_scaled_depth(1.03, True))
+
+
+def _with_bias(scene: Scene, slope: float) -> Scene:
+    """The second camera's depth is too long by this share."""
+    camera = second_camera(scene)
+    own = scene.rig.cameras[camera]
+    assert own.depth_bias is not None
+    c = own.depth_bias.coefficients
+    bias = replace(own.depth_bias, coefficients=(c[0], c[1] - slope, *c[2:]))
+    return replace(scene, rig=replace(scene.rig, cameras={**scene.rig.cameras, camera: replace(own, depth_bias=bias)}))
+
+
+@named("depth of one camera 3 % too long")
+def _long(scene: Scene, rng: Rng) -> Session:
+    return film(_with_bias(scene, 0.03), rng)
+
+
+@named("depth of one camera 3 % longer than when the walls were filmed")
+def _longer(scene: Scene, rng: Rng) -> Session:
+    before = film(scene, rng)
+    return replace(film(_with_bias(scene, 0.03), rng), walls=before.walls, wall_cells=before.wall_cells)
 
 
 def _shifted_depth(view: BoardView, shift_px: FloatArray) -> BoardView:
@@ -108,13 +129,29 @@ def _drift(scene: Scene, rng: Rng) -> Session:
     return change_views(film(scene, rng), second_camera(scene), change)
 
 
+def _with_field(scene: Scene) -> Scene:
+    """The second camera's depth errs by 10 mm at 2 m more, over its image."""
+    camera = second_camera(scene)
+    own = scene.rig.cameras[camera]
+    lens, grid = own.intrinsics, own.depth_field
+    if not isinstance(grid, GridField):
+        axes = np.linspace(0, lens.width, 33), np.linspace(0, lens.height, 25), np.array([0.3, 6.0])
+        grid = GridField(*axes, np.zeros([len(axis) for axis in axes]))
+    u, v, z = np.meshgrid(grid.u_px, grid.v_px, grid.z_m, indexing="ij")
+    x, y = 2 * u / lens.width - 1, 2 * v / lens.height - 1
+    other = replace(own, depth_field=replace(grid, error=grid.error - 0.005 * (x * x - y) * z))
+    return replace(scene, rig=replace(scene.rig, cameras={**scene.rig.cameras, camera: other}))
+
+
 @named("one camera's depth off by a field over the image (10 mm at 2 m)")
 def _field(scene: Scene, rng: Rng) -> Session:
-    def change(v: BoardView) -> BoardView:
-        x, y = (2 * v.corners_px / [640, 480] - 1).T
-        return with_depths(v, v.depth_m * (1 + 0.005 * (x * x - y)))
+    return film(_with_field(scene), rng)
 
-    return change_views(film(scene, rng), second_camera(scene), change, close=True)
+
+@named("a field over one camera's depth since the walls were filmed (10 mm at 2 m)")
+def _field_since(scene: Scene, rng: Rng) -> Session:
+    before = film(scene, rng)
+    return replace(film(_with_field(scene), rng), walls=before.walls, wall_cells=before.wall_cells)
 
 
 def _walls(change: Callable[[dict[str, FloatArray], Scene], dict[str, FloatArray]]) -> Fault:

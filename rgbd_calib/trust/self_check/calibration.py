@@ -30,8 +30,10 @@ from rgbd_calib.trust.self_check import (
     outcomes_of,
     usual_distance_m,
 )
+from rgbd_calib.trust.self_check.motion import check_motion
 from rgbd_calib.trust.self_check.of_solution import equations_of, held_blocks
 from rgbd_calib.trust.self_check.parts import noise_of_bundle, parts, ratios_of_bundle, ratios_of_residuals
+from rgbd_calib.trust.self_check.walls import check_walls, walls_of_bundle
 from rgbd_calib.types import Board, BoardView, Correspondences
 from rgbd_calib.views.association import AssociationResult
 
@@ -95,6 +97,10 @@ def check_bundle(
     eq = equations_of(solved, held, frames_in_time)
     tests = outcomes_of(eq, solved.problem, held, params)
     errors, explained = findings_of(eq, tests, params, stated_mm)
+    noise = noise_of_bundle(solved, eq)
+    motion = check_motion(eq, explained, {name: own.apart_px_mm for name, own in noise.items()}, errors, params)
+    if motion:
+        errors = [*motion, *(own for own in errors if not own.cameras)]
     folds = hold_out(eq, params)
     of_folds = held_out_findings(hold_out(explained, params), params, len(tests), stated_mm)
     dropped, used = solved.course.dropped, np.any(solved.problem.obs.has_pixel, axis=1).tolist()
@@ -115,8 +121,11 @@ def check_bundle(
         ),
         *errors,
         *of_folds,
-        *(f for f in check_noise(noise_of_bundle(solved, eq), params, stated_mm) if not (errors and f.effect_mm)),
+        *(f for f in check_noise(noise, params, stated_mm) if not (errors and f.effect_mm)),
         *check_groups(ratios, params),
+        *(
+            [] if errors else check_walls(walls_of_bundle(solved), params)
+        ),  # the boards' errors would be blamed on the walls
     ]
     statistics = {
         "scale": _scale(eq, tests),

@@ -256,12 +256,8 @@ class Score:
     """RMS over the corners concerned of what the clear part of the estimate moves them by, metres."""
 
 
-def pose_excess(eq: Equations) -> FloatArray:
-    """By how much the variance of the views' pose parts exceeds 1, (parts,), from those parts of the residuals.
-
-    One variance for each of the groups: a board that is offset as a whole is another matter than one that is tilted.
-    With m = q' M q, E (q' r)^2 = m + excess m^2 but for what parts share, so that the moments give it.
-    """
+def pose_residuals(eq: Equations) -> tuple[FloatArray, FloatArray]:
+    """Squares of the views' pose parts (V, parts), and what they would be, m, had views no errors of their own."""
     own, reduced = eq.rows, eq.reduced_low
     absorbed = np.sum((reduced @ eq.plain.of_globals) * reduced, axis=2)
     absorbed += np.einsum("vdi,vij,vdj->vd", own.low_unit, eq.base.V_inv[own.units], own.low_unit, optimize=True)
@@ -272,8 +268,16 @@ def pose_excess(eq: Equations) -> FloatArray:
         absorbed += np.einsum("vdp,pq,vdq->vd", low, inverse, low, optimize=True)
         now -= low @ (inverse @ score)
     there = (np.any(own.low_globals != 0, axis=2) | np.any(own.low_unit != 0, axis=2)) & eq.shared[:, None]
-    m = np.where(there, np.clip(1 - absorbed, 0.0, 1.0), 0.0)
-    squares = np.where(there, now**2, 0.0)
+    return np.where(there, now**2, 0.0), np.where(there, np.clip(1 - absorbed, 0.0, 1.0), 0.0)
+
+
+def pose_excess(eq: Equations) -> FloatArray:
+    """By how much the variance of the views' pose parts exceeds 1, (parts,), from those parts of the residuals.
+
+    One variance for each of the groups: a board that is offset as a whole is another matter than one that is tilted.
+    With m = q' M q, E (q' r)^2 = m + excess m^2 but for what parts share, so that the moments give it.
+    """
+    squares, m = pose_residuals(eq)
     out = np.zeros(len(eq.groups))
     for g in np.unique(eq.groups):
         mine = eq.groups == g

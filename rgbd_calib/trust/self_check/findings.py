@@ -37,6 +37,11 @@ class SelfCheckParams:
     """What pixels, or depth, of one view may put its board beside where everything together puts it, RMS: the noise of a
     single depth pixel at 2.5 m, here of the whole board. Such errors average over frames, and the covariance counts them."""
     bad_apart_mm: float = 30.0
+    max_left_apart: float = 4.0
+    """Variance that views' poses still have, over that of their corners, once the errors that were found are in the model: those
+    that are the cause leave 1 to 1.6."""
+    wall_sigmas: float = 8.0
+    """Of what was stated of a wall's written distance: tapes slip, and sag."""
     max_factor: float = 1.25
     """Of the deviation that the residuals show over a given sigma: a covariance that is a quarter too small is still one."""
     max_group_ratio: float = 2.0

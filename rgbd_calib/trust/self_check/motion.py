@@ -1,0 +1,50 @@
+"""A board that was not in one place while all cameras exposed: its cameras disagree otherwise in each frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from rgbd_calib.rig.weights import N_PIXEL
+from rgbd_calib.trust.self_check.equations import Equations, pose_residuals
+from rgbd_calib.trust.self_check.findings import Finding, SelfCheckParams
+
+
+def check_motion(
+    eq: Equations,
+    explained: Equations,
+    apart_mm: Mapping[str, float],
+    errors: Sequence[Finding],
+    params: SelfCheckParams,
+) -> list[Finding]:
+    """Errors of single cameras were found, and with all of them in the model each view still stands beside the others.
+
+    Another lens, or another pose from some frame on, leaves views that agree as their corners' noise lets them. A motion
+    between exposures has as many unknowns as there are views: errors that are smooth over the image fit a part of it.
+
+    Parameters
+    ----------
+    eq, explained : equations without and with the errors that were found.
+    apart_mm : by camera, RMS by which a view's pixels put its board beside where the others put it.
+    errors : what was found.
+    """
+    if not any(own.cameras for own in errors) or not _ratios(explained) > params.max_left_apart:
+        return []
+    name = max(eq.cameras, key=lambda c: _ratios(eq, c))
+    text = (
+        f"{name}'s images put the board elsewhere in each frame than the other cameras' images do, by "
+        f"{apart_mm.get(name, 0.0):.0f} mm (RMS), and no error of a lens or a pose explains it: frames of one name are not one instant"
+    )
+    advice = (
+        "The board moved between the cameras' exposures, or clocks differ: hold it still until all have exposed, or find the clocks "
+        "with `rgbd-calib sync` (`synchronous: false` in dataset.yaml)"
+    )
+    return [Finding("board moved", "distrust", (name,), text, advice, round(apart_mm.get(name, 0.0), 2))]
+
+
+def _ratios(eq: Equations, camera: str | None = None) -> float:
+    """Variance of the pixels' pose parts over that of single corners, of one camera or of all."""
+    squares, expected = pose_residuals(eq)
+    mine = np.ones(len(eq.camera), bool) if camera is None else eq.camera == eq.cameras.index(camera)
+    return float(squares[mine, :N_PIXEL].sum() / max(float(expected[mine, :N_PIXEL].sum()), 1e-9))
