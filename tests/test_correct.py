@@ -155,7 +155,7 @@ def test_pixels_that_no_longer_fit_become_zero_and_are_counted():
 def test_depth_outside_the_range_of_the_bias_is_told_and_can_be_left_out(run, tiny, tmp_path):
     own = {n: replace(c, depth_bias=DepthBias((0.01,), 0.5, 1.2, 0.0)) for n, c in tiny.rig.cameras.items()}
     write_rig(tmp_path / "near.yaml", replace(tiny.rig, cameras=own))
-    for name, more, said in (("a", (), "corrected as at its end"), ("b", ("--within-range",), "left out")):
+    for name, more, said in (("a", (), "corrected less surely"), ("b", ("--within-range",), "left out")):
         done = run("correct", tiny.recording, "--rig", tmp_path / "near.yaml", "-o", tmp_path / name, *more)
         assert done.status == 0 and "% of the depth pixels outside the range of the bias's data" in done.stderr
         assert said in done.stderr
