@@ -161,14 +161,14 @@ class CellPattern:
 PIXELS_AT_ONCE = 50_000
 """Whose shapes are in memory together: some 20 MB."""
 FIELD_AT_M = 3.0
-"""Depth at which a field has its coefficients: far, where it is largest."""
+"""Depth at which a field has its coefficients, unless it says another."""
 
 
 @dataclass(frozen=True)
 class PolynomialField:
     """Legendre polynomials over the image, that grow with the depth.
 
-    field(u, v, z) = (z / z0)^(p + q ln(z / z0)) sum_k c_k T_k(x, y), z0 = FIELD_AT_M
+    field(u, v, z) = (z / z0)^(p + q ln(z / z0)) sum_k c_k T_k(x, y), z0 = at_m
 
     with z held to [min_m, max_m], degrees from 1 on: the degree 0 is the bias's.
     """
@@ -186,6 +186,8 @@ class PolynomialField:
     """(k, k) of the coefficients, then p and q, where it is known."""
     pattern: CellPattern | None = None
     """What is finer than the polynomials, where walls showed it."""
+    at_m: float = FIELD_AT_M
+    """Depth at which the coefficients are what it errs by."""
 
     def error_m(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:
         """field (...), metres, at pixels (..., 2) of the depth image and reported depths (...)."""
@@ -215,12 +217,12 @@ class PolynomialField:
     def by_parameters(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:
         """(..., k) derivatives of the field by its coefficients, then by p and q."""
         z, T = np.clip(z_m, self.min_m, self.max_m)[..., None], self._shapes(pixels_px)
-        pattern, log = (T @ self.coefficients)[..., None], np.log(z / FIELD_AT_M)
+        pattern, log = (T @ self.coefficients)[..., None], np.log(z / self.at_m)
         return np.concatenate([T, pattern * log, pattern * log**2], axis=-1) * self._grown(z)
 
     def _grown(self, z_m: FloatArray) -> FloatArray:
         p, q = self.growth
-        log = np.log(z_m / FIELD_AT_M)
+        log = np.log(z_m / self.at_m)
         return np.asarray(np.exp((p + q * log) * log))
 
     def _shapes(self, pixels_px: FloatArray) -> FloatArray:

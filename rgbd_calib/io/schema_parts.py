@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from rgbd_calib.geometry.camera import LENSES, Intrinsics
-from rgbd_calib.geometry.depth_error import CellPattern, GridField, PolynomialField, n_terms
+from rgbd_calib.geometry.depth_error import FIELD_AT_M, CellPattern, GridField, PolynomialField, n_terms
 from rgbd_calib.io.schema_base import (
     MAX_CORNERS,
     Corners,
@@ -142,7 +142,7 @@ class CellPatternModel(Model):
 
 
 class PolynomialFieldModel(Model):
-    """(z / 3)^(p + q ln(z / 3)) sum_k c_k T_k(x, y): products of Legendre polynomials in x, y (-1 to 1 over the image) by total degree from 1
+    """(z / z0)^(p + q ln(z / z0)) sum_k c_k T_k(x, y), z0 = at_m: products of Legendre polynomials in x, y (-1 to 1 over the image) by total degree from 1
     on, and within a degree by the power of y from the highest; z_true = z + bias(z) + field, z held to [min_m, max_m]."""
 
     basis: Literal["legendre"] = "legendre"
@@ -154,6 +154,7 @@ class PolynomialFieldModel(Model):
     coefficients: list[Finite]
     min_m: Positive
     max_m: Positive
+    at_m: Positive = FIELD_AT_M
     covariance: list[list[Finite]] | None = None
     pattern: CellPatternModel | None = None
     """What is finer than the polynomials, where walls showed it."""
@@ -180,6 +181,7 @@ class PolynomialFieldModel(Model):
             own.max_m,
             covariance,
             None if own.pattern is None else own.pattern.value(),
+            own.at_m,
         )
 
 
@@ -212,7 +214,7 @@ def field_data(field: DepthField) -> dict[str, Any]:
     """A depth field as a file holds it."""
     if isinstance(field, GridField):
         return {"basis": "grid", "u_px": field.u_px, "v_px": field.v_px, "z_m": field.z_m, "error_m": field.error}
-    names = ("width", "height", "degree", "coefficients", "min_m", "max_m", "covariance")
+    names = ("width", "height", "degree", "coefficients", "min_m", "max_m", "at_m", "covariance")
     own = {name: getattr(field, name) for name in names if getattr(field, name) is not None}
     if field.pattern is not None:
         pattern = field.pattern

@@ -133,15 +133,14 @@ class Problem:
         return tuple((self.parts[b.name].start + c.parameters, c) for b in self.blocks for c in b.prior().components)
 
     @property
-    def component_groups(self) -> list[list[tuple[IntArray, Component]]]:
+    def component_groups(self) -> Iterator[tuple[Block, list[tuple[IntArray, Component]]]]:
         """The same, those of one block and camera together."""
-        out: dict[tuple[str, int], list[tuple[IntArray, Component]]] = {}
-        for index, component in self.components:
-            block = next(b for b in self.blocks if self.parts[b.name].start <= index[0] < self.parts[b.name].stop)
-            out.setdefault((block.name, (index[0] - self.parts[block.name].start) // block.n), []).append(
-                (index, component)
-            )
-        return list(out.values())
+        for block in self.blocks:
+            sets: dict[int, list[tuple[IntArray, Component]]] = {}
+            for c in block.prior().components:
+                at = self.parts[block.name].start + c.parameters
+                sets.setdefault(int(c.parameters[0]) // block.n, []).append((at, c))
+            yield from ((block, group) for group in sets.values())
 
     @cached_property
     def prior(self) -> Prior:

@@ -24,6 +24,7 @@ from rgbd_calib.geometry.linear import Assembly, Covariance, IntArray
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import Kind
 from rgbd_calib.rig.blocks.board_shape import nominal_corners_m
+from rgbd_calib.rig.blocks.depth_error import DepthErrorBlock
 from rgbd_calib.rig.observations import Observations
 from rgbd_calib.rig.pose_rows import N_PARTS, pose_rows
 from rgbd_calib.rig.problem import OF_BOARDS, Problem, State
@@ -120,21 +121,24 @@ def _sizes(problem: Problem, state: State, covariance: Covariance) -> dict[str, 
 
     theta' R theta / size^2 ~ chi^2 with as many degrees of freedom as the data have added to the prior's, k - tr(C R) / size^2
     (D. MacKay, Neural Computation 4(3), 1992). As a small size draws its parameters to zero, and small parameters their size,
-    both are iterated, on what the data say of a block's parameters with all other unknowns eliminated.
+    both are iterated, on what the data say of a block's parameters with all other unknowns eliminated. What the depth of whole
+    boards scatters by more than their corners do is no error over the image: where boards alone tell, they tell so much less.
     """
+    of_boards = 1.0 if problem.setup.walls.n else float(np.mean(problem.weights.ratio_depth**2))
     theta, sizes = problem.vector(state), dict(problem.weights.sizes)
-    for group in problem.component_groups:
+    for block, group in problem.component_groups:
         at = np.concatenate([index for index, _ in group])
         stops = np.cumsum([0, *(len(index) for index, _ in group)])
         parts = [slice(first, last) for first, last in pairwise(stops)]
         R = [component.structure for _, component in group]
+        scatter = of_boards if isinstance(block, DepthErrorBlock) else 1.0
         size2 = np.array([sizes[component.name] ** 2 for _, component in group])
         C_now, now, before = covariance.of_globals[np.ix_(at, at)], theta[at], _prior(R, size2, parts)
         right = np.column_stack([C_now, now])
         for _ in range(SIZE_ROUNDS):
-            more = np.eye(len(at)) + C_now @ (_prior(R, size2, parts) - before)
+            more = np.eye(len(at)) + C_now @ (scatter * _prior(R, size2, parts) - before)
             solved = np.linalg.solve(more, right)
-            C, own, last = solved[:, :-1], solved[:, -1], size2.copy()
+            C, own, last = scatter * solved[:, :-1], solved[:, -1], size2.copy()
             for k, (part, (_, c)) in enumerate(zip(parts, group, strict=True)):
                 n_told = max(len(R[k]) - float(np.sum(C[part, part] * R[k])) / size2[k], 0.0)
                 squares = c.dof * c.usual**2 + float(own[part] @ R[k] @ own[part])

@@ -133,15 +133,14 @@ class Solution:
         ):
             return None
         lens, at = self.prior_of(camera).intrinsics, self.index("depth field", camera)
-        block = self.problem.block("depth bias")
-        assert isinstance(block, DepthBiasBlock)
+        block, field = self.problem.block("depth bias"), self.problem.block("depth field")
+        assert isinstance(block, DepthBiasBlock) and isinstance(field, depth_field.DepthField)
         low, high = (float(z) for z in block.range_m[i])
         own = self.state.values["depth field"][i]
         pattern = self.problem.local[i] if self.problem.local else None
         size, covariance = (lens.width, lens.height), self.covariance[np.ix_(at, at)]
-        return PolynomialField(
-            *size, depth_field.DEGREE, (float(own[-2]), float(own[-1])), own[:-2], low, high, covariance, pattern
-        )
+        growth, at_m = (float(own[-2]), float(own[-1])), float(field.at_m[i])
+        return PolynomialField(*size, depth_field.DEGREE, growth, own[:-2], low, high, covariance, pattern, at_m)
 
     def depth_camera(self, camera: str) -> DepthCamera | None:
         """The camera that its depth image is of, where that is not quite the colour camera; None without depth."""
