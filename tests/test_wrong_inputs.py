@@ -263,3 +263,10 @@ def test_corners_of_another_recording_or_board(refused, good, tmp_path):
     assert f"{corners}: line 1: column 'feature' is missing" in refused(2, *args)
     corners.write_text("camera,frame,feature,u_px,v_px,depth_m,depth_pixels\n")
     assert f"{corners}: no corners in it" in refused(2, *args)
+
+
+def test_depth_images_that_hold_nothing(refused, spoilt, tmp_path):
+    for path in (spoilt / "C2" / "depth").glob("*.png"):
+        cv2.imwrite(str(path), np.zeros((480, 640), np.uint16))
+    says = refused(1, "calibrate", spoilt, "-o", tmp_path / "rig.yaml")
+    assert says.startswith("Error: C2: depth on the board expected, no measurement found in its ")

@@ -67,7 +67,9 @@ def metres(value: Any) -> Any:
     return value
 
 
-Length = Annotated[float, BeforeValidator(metres), BeforeValidator(no_boolean), Field(ge=0.001, le=1, allow_inf_nan=False)]
+Length = Annotated[
+    float, BeforeValidator(metres), BeforeValidator(no_boolean), Field(ge=0.001, le=1, allow_inf_nan=False)
+]
 """Metres, of a part of a board."""
 DepthUnit = Annotated[float, BeforeValidator(no_boolean), Field(ge=1e-6, le=1, allow_inf_nan=False)]
 """Metres for each unit of depth."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -45,7 +46,7 @@ def _large_back(scene: Scene, rng: Rng) -> Session:
 def _late_depth(scene: Scene, rng: Rng) -> Session:
     session, camera = film(scene, rng), second_camera(scene)
     mine = [v for v in session.views if v.camera == camera]
-    before = {v.frame: u for u, v in zip(mine, mine[1:], strict=False)}
+    before = {v.frame: u for u, v in pairwise(mine)}
 
     def change(v: BoardView) -> BoardView:
         u = before.get(v.frame)
@@ -58,7 +59,7 @@ def _late_depth(scene: Scene, rng: Rng) -> Session:
 def _frozen(scene: Scene, rng: Rng) -> Session:
     session, camera = film(scene, rng), second_camera(scene)
     mine = [v for v in session.views if v.camera == camera]
-    stale = {v.frame: replace(u, frame=v.frame) for k, (u, v) in enumerate(zip(mine, mine[1:], strict=False)) if k % 3 == 1}
+    stale = {v.frame: replace(u, frame=v.frame) for k, (u, v) in enumerate(pairwise(mine)) if k % 3 == 1}
     return change_views(session, camera, lambda v: stale.get(v.frame, v))
 
 
@@ -96,7 +97,8 @@ def _exchanged(scene: Scene, rng: Rng) -> Session:
     session, (a, b), names = film(scene, rng), list(scene.rig.cameras)[:2], list(scene.boards)
     late, other = set(names[len(names) // 2 :]), {a: b, b: a}
     return replace(
-        session, views=tuple(replace(v, camera=other.get(v.camera, v.camera)) if v.frame in late else v for v in session.views)
+        session,
+        views=tuple(replace(v, camera=other.get(v.camera, v.camera)) if v.frame in late else v for v in session.views),
     )
 
 
