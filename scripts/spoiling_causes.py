@@ -54,5 +54,8 @@ CAUSES = {
     "one camera's images upside down from the middle on": "C2's .* do not fit the rest",
     "one camera's images are every third time those of the frame before": "C2's .* do not fit the rest|C2's images .*not one instant",
     "autofocus: one camera's focal length varies by 0.5 % from frame to frame": "C2",
+    "autofocus in the intrinsic recording of one camera, 1 %": "C2's (intrinsics|corners)",
+    "intrinsic recording with a board of 2 % smaller squares": "intrinsics .*differ",
+    "a tenth of the boards moved between two cameras' exposures": "C2's .*(do not fit|not one instant)",
     "one camera's depth images are those of the frame before": "C2's depth|depth of .*C2",
 }
