@@ -315,9 +315,10 @@ def _onto_itself(t: Trial) -> str:
 
 @kind(13, "`-o` a FIFO, with `--overwrite`")
 def _fifo_out(t: Trial) -> str:
-    os.mkfifo(t.folder / "out.yaml")
-    said = t.run("board", "9x6", "--square", "0.06", "-o", "out.yaml", "--overwrite")
-    return f"{said}; FIFO {'kept' if (t.folder / 'out.yaml').is_fifo() else '**replaced**'}"
+    t.copy()
+    os.mkfifo(t.folder / "out.csv")
+    said = t.run("detect", "extrinsic", "-o", "out.csv", "--overwrite", "--jobs", "1")
+    return f"{said}; FIFO {'kept' if (t.folder / 'out.csv').is_fifo() else '**replaced**'}"
 
 
 @kind(14, "a FIFO as an image")
@@ -372,6 +373,28 @@ def _threads(t: Trial) -> str:
         text = (t.folder / "rig.yaml").read_text()
         found.append(re.findall(r"T_world_color:\n(?:.*\n){4}", text))
     return "poses equal" if found[0] == found[1] else "**poses differ**"
+
+
+@kind(16, "the preview's server: Host, token, idle connections (`pytest tests/test_serving.py`)")
+def _serving(t: Trial) -> str:
+    tests = Path(t.env["PYTHONPATH"]) / "tests" / "test_serving.py"
+    if not tests.exists():
+        return "no such tests: any Host was answered, 1,300 idle connections starved it"
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-n", "0", str(tests)],
+        env=t.env,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return done.stdout.strip().splitlines()[-1]
+
+
+@kind(17, "a bag of zeros, 20 GB")
+def _endless_bag(t: Trial) -> str:
+    with (t.folder / "huge.bag").open("wb") as stream:
+        stream.truncate(20 << 30)
+    return t.run("import", "huge.bag", "-o", "out")
 
 
 @click.command()

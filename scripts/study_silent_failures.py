@@ -46,6 +46,7 @@ from rgbd_calib.types import Board, Rig
 from rgbd_calib.views.detect import DetectParams
 
 STATED_FACTOR, FLOOR_MM = 2.0, 1.0
+REALISTIC = Realism()
 
 REALISTIC = Realism()
 

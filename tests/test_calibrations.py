@@ -523,3 +523,14 @@ def test_azure(tmp_path):
     np.testing.assert_allclose(depth.T_color_depth[:3, :3], so3.exp(np.array([0.1, 0.0, 0.0])), atol=1e-12)
     with pytest.raises(ConfigError, match="800x600 px seen, one of 1280x720"):
         read_calibration(tmp_path / "k4a.json", (800, 600))
+
+
+def test_a_mistyped_key_makes_no_lens_without_distortion(run, tmp_path):
+    text = (
+        "camera_name: A\nimage_width: 640\nimage_height: 480\ndistortion_model: plumb_bob\n"
+        "camera_matrix: {rows: 3, cols: 3, data: [500, 0, 320, 0, 500, 240, 0, 0, 1]}\n"
+    )
+    (tmp_path / "info.yaml").write_text(text + "distorsion_coefficients: {rows: 1, cols: 5, data: [0.1, 0, 0, 0, 0]}\n")
+    refused = run("import-calibration", tmp_path / "info.yaml", "-o", tmp_path / "out.yaml")
+    assert refused.status == 2 and "distortion_coefficients expected" in refused.stderr
+    assert "'distorsion_coefficients' found" in refused.stderr

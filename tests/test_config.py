@@ -54,6 +54,7 @@ def test_precedence(written):
         ("refinement: {method: ba}", "refinement.method: set by `method`"),
         ("[1, 2]", "holds list, a mapping is needed"),
         ("method: [", "not valid YAML"),
+        ("bundle: {hold: [depht field]}", "bundle.hold: 'depht field' seen; one of "),
     ],
 )
 def test_wrong_settings_name_file_and_key(written, text, says):

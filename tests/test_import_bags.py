@@ -259,3 +259,10 @@ def test_an_mkv_that_was_cut(run, real_data, tmp_path):
     (tmp_path / "cut.mkv").write_bytes(data[:20_000])
     outcome = run("import", tmp_path / "cut.mkv", "-o", tmp_path / "other")
     assert outcome.status in (1, 2) and not (tmp_path / "other").exists()
+
+
+def test_an_endless_file_without_an_end_of_line_is_no_bag(run, tmp_path):
+    with (tmp_path / "huge.bag").open("wb") as stream:
+        stream.truncate(20 << 30)
+    refused = run("import", f"A={tmp_path / 'huge.bag'}", "-o", tmp_path / "out")
+    assert refused.status == 2 and "'#ROSBAG V2.0\\n' expected" in refused.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -374,3 +375,12 @@ def test_doctor_names_the_factor(run, drawn, tmp_path):
     out = run("doctor", folder).stdout
     assert "! C1: measured depth is 0.2" in out and "depth_scale looks 5 times too small" in out
     assert "C2: measured depth is" not in out
+
+
+def test_a_file_that_cannot_be_read_is_named(drawn, run, tmp_path):
+    folder = lay_out(drawn, tmp_path / "f", "{camera}/{frame}.png", None)
+    pipe = sorted(folder.glob("*/*.png"))[0]
+    pipe.unlink()
+    os.mkfifo(pipe)
+    told = run("init", folder, *BOARD_OPTIONS, "--yes")
+    assert f"{pipe.relative_to(folder).as_posix()} cannot be read" in told.stderr

@@ -47,9 +47,10 @@ def test_drift_ends_it_with_status_1_and_is_in_the_metrics(run, bumped, tmp_path
     assert "# TYPE rgbd_calib_rig_holds gauge" in text and "rgbd_calib_rig_holds 0" in text
 
 
-def test_a_rig_that_holds_goes_on_and_old_images_are_no_new_round(run, bumped):
+def test_a_rig_that_holds_goes_on_and_old_images_are_no_new_round(run, bumped, tmp_path):
     rig, old = bumped / "truth.yaml", bumped / "old"
-    result = run("monitor", rig, old, "--snapshot", old, "--every", "0", "--rounds", "2")
+    live = shutil.copytree(old, tmp_path / "live")
+    result = run("monitor", rig, live, "--snapshot", old, "--every", "0", "--rounds", "2")
     assert result.status == 0
     first, second = result.stdout.splitlines()
     assert " holds: C1 0." in first and "failed: no new images" in second

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from rgbd_calib.simulation.faults import FAULTS, RINGS
+from rgbd_calib.simulation.faults import FAULTS
 
 _PATH = Path(__file__).parents[1] / "scripts" / "study_silent_failures.py"
+sys.path.insert(0, str(_PATH.parent))
 _SPEC = importlib.util.spec_from_file_location("study_silent_failures", _PATH)
 assert _SPEC is not None
 assert _SPEC.loader is not None
@@ -20,98 +21,60 @@ sys.modules["study_silent_failures"] = study  # dataclasses look themselves up b
 _SPEC.loader.exec_module(study)
 
 SMALL = {"cameras": 3, "frames": 15, "close": 8}
-
-SAYS = {
-    "square stated 1 % too large (print at 99 %)": "the board's squares are -",
-    "square in cm": "board.square: 6.0 seen",
-    "print 1 % too wide": "the board's squares are +0.5",
-    "two_sided not stated": "common frames agree on the relative pose",
-    "thickness stated 5 mm too small": "faces are +5",
-    "cameras swapped in the intrinsic recording": "",
-    "one camera's images mirrored": "C2",
-    "one camera's images upside down, its intrinsics not": "C2",
-    "a camera bumped half-way, 5 mm and 0.5 deg": "C2",
-    "a lens refocused half-way (1 % of focal length)": "C2",
-    "intrinsics file of another camera": "C2",
-    "one camera's images from another session": "common frames agree",
-    "depth in 0.1 mm, stated as mm": "All cameras agree",
-    "depth of one camera in 0.1 mm, stated as mm": "C2: measured depth over the board's distance",
-    "depth not registered to colour, 25 mm apart, all cameras": "beside its colour image",
-    "one camera's depth saturated at 1.8 m": "C2",
-    "depth bias of another camera": "C2",
-    "all wall distances 5 cm too long": "",
-    "wall distances in cm": "true distances are",
-    "one clock 0.2 s late, the board moving at 0.15 m/s": "C2",
-    "frames of one camera off by one": "common frames agree",
-    "frames of one camera off by one from the middle on": "C2",
-    "each instant copied six times": "places only",
-    "close views all square to the camera": "focal length",
-    "corners noisy by 1.5 px": "",
-}
-"""Words that must be said, of faults that do harm."""
 HARMLESS = (
     "nothing",
     "board bent by 3 mm",
-    "symmetric board, upside down in one camera always",
-    "time stamps of one camera wrong by 0.2 s",
+    "depth magnified by 1 % in all cameras",
     "one camera without depth",
     "depth of one camera 10 px beside its colour",
 )
 """The result is right, and nothing is said."""
+QUICK = (
+    "square in cm",
+    "one camera's images from another session",
+    "depth in 0.1 mm, stated as mm",
+    "one camera's depth saturated at 1.8 m",
+    "all wall distances 5 cm too long",
+    "wall distances in cm",
+    "one clock 0.2 s late, the board moving at 0.15 m/s",
+    "frames of one camera off by one",
+    "corners noisy by 1.5 px",
+)
+"""Tried in every run of the tests, on a smaller session."""
 
 
 @cache
 def row(fault: str):
-    return study.try_fault(fault, 0, **SMALL)
+    return study.try_fault(fault, 0, **(SMALL if fault in (*QUICK, *HARMLESS) else {}))
 
 
-@cache
-def clean(ring: bool):
-    if ring:
-        RINGS.add("nothing, in a ring")
-        FAULTS["nothing, in a ring"] = FAULTS["nothing"]
-    return row("nothing, in a ring" if ring else "nothing")
-
-
-QUICK = (
-    "square stated 1 % too large (print at 99 %)",
-    "square in cm",
-    "print 1 % too wide",
-    "one camera's images mirrored",
-    "one camera's images upside down, its intrinsics not",
-    "a camera bumped half-way, 5 mm and 0.5 deg",
-    "a lens refocused half-way (1 % of focal length)",
-    "one camera's images from another session",
-    "depth in 0.1 mm, stated as mm",
-    "depth bias of another camera",
-    "wall distances in cm",
-    "one clock 0.2 s late, the board moving at 0.15 m/s",
-    "frames of one camera off by one",
-    "each instant copied six times",
-)
-"""Of these, that are tried in every run of the tests."""
-
-
-@pytest.mark.parametrize("fault", [f if f in QUICK else pytest.param(f, marks=pytest.mark.slow) for f in SAYS])
-def test_harm_is_an_error_or_a_warning_that_says_why(fault):
+@pytest.mark.parametrize("fault", [f if f in QUICK else pytest.param(f, marks=pytest.mark.slow) for f in study.CAUSES])
+def test_harm_is_an_error_or_a_warning_that_names_the_cause(fault):
     own = row(fault)
-    judged = own.judged(clean(fault in RINGS))
-    assert judged in ("clear error", "warned", "right, warned"), own
-    assert SAYS[fault] in own.says, own.says
+    assert own.judged != "SILENT", own
+    assert own.named is not False, own.says
+    assert fault not in QUICK or own.named, own
 
 
 @pytest.mark.parametrize("fault", HARMLESS)
 def test_what_does_no_harm_is_not_made_a_fuss_of(fault):
     own = row(fault)
-    assert own.judged(clean(False)) == "right", own
+    assert own.judged == "right", own
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", [f for f in FAULTS if f not in SAYS and f not in HARMLESS])
+@pytest.mark.parametrize("fault", [f for f in FAULTS if f not in study.CAUSES and f not in HARMLESS])
 def test_the_rest_is_not_silent_either(fault):
     own = row(fault)
-    assert own.judged(clean(fault in RINGS)) != "SILENT", own
+    assert own.judged != "SILENT", own
 
 
-def test_at_least_thirty_ways():
-    assert len(FAULTS) >= 30
+def test_causes_are_of_spoilings():
+    assert set(study.CAUSES) <= set(FAULTS) and len(FAULTS) >= 80
+
+
+def test_an_unspoiled_session_is_within_its_bound():
+    clean = study.false_alarm(16)  # of two cameras
+    assert clean.trusted and clean.findings == ()
+    assert 0.5 * clean.stated_mm < clean.bound_95_mm < 3 * clean.stated_mm
+    assert clean.alignment_mm < clean.bound_95_mm

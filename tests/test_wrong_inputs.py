@@ -74,7 +74,14 @@ def test_a_camera_without_images(refused, spoilt, tmp_path):
 def test_a_board_of_another_size_than_stated(refused, spoilt, tmp_path):
     edit(spoilt / "dataset.yaml", lambda data: data["board"].update(cols=11, rows=8))
     says = refused(1, "calibrate", spoilt, "-o", tmp_path / "rig.yaml")
-    assert "the board (11 x 8 inner corners) was found in none of 4 images. Check cols and rows" in says
+    assert "the board (11 x 8 inner corners) was found in none of 4 images, one of " in says
+    assert " in 4 of 4 that were tried. Check cols and rows" in says
+
+
+@pytest.mark.parametrize(("square", "metres"), [(60, "60 mm write 0.06"), (6.0, "6 cm write 0.06")])
+def test_a_square_in_another_unit(refused, spoilt, tmp_path, square, metres):
+    edit(spoilt / "dataset.yaml", lambda data: data["board"].update(square=square))
+    assert f"metres needed, at most 1: for {metres}" in refused(2, "calibrate", spoilt, "-o", tmp_path / "rig.yaml")
 
 
 def test_no_board_stated(refused, spoilt, tmp_path):
@@ -256,3 +263,10 @@ def test_corners_of_another_recording_or_board(refused, good, tmp_path):
     assert f"{corners}: line 1: column 'feature' is missing" in refused(2, *args)
     corners.write_text("camera,frame,feature,u_px,v_px,depth_m,depth_pixels\n")
     assert f"{corners}: no corners in it" in refused(2, *args)
+
+
+def test_depth_images_that_hold_nothing(refused, spoilt, tmp_path):
+    for path in (spoilt / "C2" / "depth").glob("*.png"):
+        cv2.imwrite(str(path), np.zeros((480, 640), np.uint16))
+    says = refused(1, "calibrate", spoilt, "-o", tmp_path / "rig.yaml")
+    assert says.startswith("Error: C2: depth on the board expected, no measurement found in its ")

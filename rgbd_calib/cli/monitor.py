@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from rgbd_calib.cli.options import OUTPUT, driver_option, redist_option, say, show
-from rgbd_calib.errors import ConfigError
+from rgbd_calib.cli.options import OUTPUT, driver_option, redist_option, refuse_existing, say, show
+from rgbd_calib.errors import CalibrationError, ConfigError
 
 if TYPE_CHECKING:
     from rgbd_calib.io.recording import Recording
@@ -88,7 +89,7 @@ def command(
     \b
     Exit status:
       0  stopped, or --rounds done, without drift
-      1  drift
+      1  drift, or no round gave a comparison
 
     \b
     Examples:
@@ -115,7 +116,12 @@ def command(
     program = shlex.split(on_drift) if on_drift else []
     if on_drift is not None and not program:
         raise click.UsageError("--on-drift: a command expected, nothing found")
+    if metrics is not None:
+        refuse_existing(metrics, overwrite=True)
+        monitor.refuse_foreign(metrics)
     rig, old = read_rig(rig_path), open_recording(snapshot or kept_beside(rig_path))
+    if folder is not None and folder.exists() and os.path.samefile(folder, old.path):
+        raise ConfigError(f"{folder}: is the old snapshot. Give the folder that new images come to")
     before = prepare(rig, old)
     if not before:
         raise ConfigError(f"{old.path}: no camera has colour and depth images; a snapshot needs both. Record it again")
@@ -125,7 +131,7 @@ def command(
     params = monitor.MonitorParams(
         every, confirm, rounds, SnapshotParams(distance, VerdictParams(max_m=max_mm / 1e3))
     )  # fmt: skip
-    stop, failures, drifting = threading.Event(), 0, False
+    stop, failures, drifting, each = threading.Event(), 0, False, None
     with stopping_on_signals(stop):
         for each in monitor.watch(rig, before, source, params, stop.wait):
             failures += each.numbers is None
@@ -138,6 +144,10 @@ def command(
                     return 1
                 _run(program, line)
             drifting = each.drift
+    if each is not None and failures == each.number:
+        raise CalibrationError(
+            f"none of {failures} round(s) gave a comparison; the last: {each.problem}. Fix this and run again"
+        )
     return int(drifting)
 
 

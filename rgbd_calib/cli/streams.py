@@ -9,15 +9,18 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from functools import wraps
 from pathlib import Path
 from typing import Any, TextIO
 
 import click
+
+from rgbd_calib.errors import RgbdCalibError
 
 _RESULTS, _JSON, _QUIET, _LOG = (f"{__name__}.{name}" for name in ("results", "json", "quiet", "log"))
 
@@ -44,6 +47,10 @@ def say(text: str, always: bool = False) -> None:
     meta = context.meta if context is not None else {}
     if always or not meta.get(_QUIET):
         click.echo(_printable(text), err=True)
+    _log(text, meta)
+
+
+def _log(text: str, meta: Mapping[str, Any]) -> None:
     if path := meta.get(_LOG):
         with path.open("a", encoding="utf-8") as log:
             log.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S')} {_printable(text)}\n")
@@ -75,10 +82,20 @@ def common_options() -> list[click.Parameter]:
 
 def _log_file(context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
     if path is not None:
+        if os.path.exists(path) and not (
+            path.is_file() or path.is_char_device()
+        ):  # opening a pipe waits for its reader
+            raise click.BadParameter(f"{path}: a regular file expected, something else found. Choose another file")
         try:
-            path.open("a", encoding="utf-8").close()
+            with path.open("a+b") as stream:
+                stream.seek(0)
+                begin = stream.read(20) if path.is_file() else b""
         except OSError as error:
             raise click.BadParameter(f"{path} cannot be written: {error.strerror}. Choose another file") from None
+        if begin and not re.match(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d ", begin):
+            raise click.BadParameter(
+                f"{path}: a log, or no file yet, expected; something else found. Choose another file"
+            )
         context.meta[_LOG] = path
     return path
 
@@ -111,9 +128,14 @@ def results_apart(callback: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(callback)
     def run(*args: Any, **options: Any) -> Any:
-        click.get_current_context().meta[_RESULTS] = sys.stdout
-        with redirect_stdout(sys.stderr), _logging():
-            return callback(*args, **options)
+        meta = click.get_current_context().meta
+        meta[_RESULTS] = sys.stdout
+        try:
+            with redirect_stdout(sys.stderr), _logging():
+                return callback(*args, **options)
+        except (RgbdCalibError, OSError) as error:  # told to the user once the command's context is gone
+            _log(f"Error: {error}", meta)
+            raise
 
     return run
 

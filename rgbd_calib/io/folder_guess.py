@@ -149,12 +149,15 @@ def find_streams(
     streams, remarks = [], []
     for template, files in sorted(found.items()):
         files = dict(sorted(files.items()))
-        looks = {look(root / files[frame]) for frame in _some(list(files))}
+        seen = {files[frame]: look(root / files[frame]) for frame in _some(list(files))}
+        looks, unread = set(seen.values()), [path for path, kind in seen.items() if kind is None]
         one = next(iter(looks))
         if len(looks) == 1 and one is not None:
             streams.append(Stream(template, files, one))
         else:
-            why = "no images that can be read" if looks == {None} else "images of several kinds or sizes"
+            why = "images of several kinds or sizes"
+            if unread:
+                why = "no images that can be read" if looks == {None} else f"{', '.join(unread[:3])} cannot be read"
             remarks.append(f"{len(files)} files {template} are not used ({why})")
     return streams, remarks
 

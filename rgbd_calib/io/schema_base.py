@@ -57,7 +57,19 @@ Finite = Annotated[float, BeforeValidator(no_boolean), Field(ge=-LARGEST, le=LAR
 Positive = Annotated[float, BeforeValidator(no_boolean), Field(gt=0, le=LARGEST, allow_inf_nan=False)]
 Side = Annotated[int, BeforeValidator(no_boolean), Field(gt=0, le=MAX_SIDE)]
 Corners = Annotated[int, BeforeValidator(no_boolean), Field(ge=2, le=MAX_CORNERS)]
-Length = Annotated[float, BeforeValidator(no_boolean), Field(ge=0.001, le=1, allow_inf_nan=False)]
+
+
+def metres(value: Any) -> Any:
+    """Refuse a length that is in another unit, and say what it is in metres."""
+    if isinstance(value, int | float) and 1 < value <= 1000:
+        unit, factor = ("cm", 0.01) if value <= 20 else ("mm", 0.001)
+        raise ValueError(f"metres needed, at most 1: for {value:g} {unit} write {factor * value:g}")
+    return value
+
+
+Length = Annotated[
+    float, BeforeValidator(metres), BeforeValidator(no_boolean), Field(ge=0.001, le=1, allow_inf_nan=False)
+]
 """Metres, of a part of a board."""
 DepthUnit = Annotated[float, BeforeValidator(no_boolean), Field(ge=1e-6, le=1, allow_inf_nan=False)]
 """Metres for each unit of depth."""

@@ -211,6 +211,7 @@ def prepare_views(
     check_together(recording)
     check_sources(recording, intrinsics, depth_bias)
     detections = detections or detect(recording, config.detect, workers, progress)
+    _need_depth(recording, detections)
     lenses = resolve_intrinsics(intrinsics, recording, detections, config, workers, progress, intrinsic_detections)
     depth = resolve_depth(depth_bias, recording, lenses.intrinsics, config, workers, progress)
     biases = depth.biases
@@ -225,6 +226,18 @@ def prepare_views(
     association = _with_depth_cameras(association, recording, lenses, biases, board, config)
     association, selection = frame_selection.select(association, lenses, depth, recording, board, config)
     return Views(detections, lenses, depth, filtered, association, selection)
+
+
+def _need_depth(recording: Recording, detections: Detections) -> None:
+    """Raise CalibrationError where depth images of a camera hold nothing on the board, in any view of it."""
+    for name, info in recording.cameras.items():
+        views = [v for v in detections.of(name) if recording.has_depth(name, v.frame)]
+        if views and info.mount is None and not any(np.isfinite(v.depth_m).any() for v in views):
+            raise CalibrationError(
+                f"{name}: depth on the board expected, no measurement found in its {len(views)} depth images that should show it. "
+                "Look at one: is it empty, of another camera, or the board out of range? If the camera has no depth, take its depth "
+                "images out"
+            )
 
 
 def _with_depth_cameras(

@@ -47,6 +47,10 @@ def evaluate_clouds(rig_path: Path, path: Path) -> dict[str, Any]:
             pairs[pair] = pairs[pair].joined(gap) if pair in pairs else gap
     kept = {pair: gap for pair, gap in pairs.items() if len(gap.distance_m) >= LEAST_PATCHES}
     if not kept:
+        if not pairs:
+            raise CalibrationError(
+                f"{recording.path}: depth of two cameras in one frame expected, none found. Record it with depth"
+            )
         raise CalibrationError(
             f"{recording.path}: no two cameras see the same surfaces from the same side; {LEAST_PATCHES} patches in common are "
             "needed. Put things where two cameras see them, or evaluate on a board: --recording"

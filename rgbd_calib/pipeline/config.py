@@ -18,6 +18,7 @@ from rgbd_calib.io.files import load_yaml
 from rgbd_calib.io.schema_base import find_line
 from rgbd_calib.io.tables import short
 from rgbd_calib.rig.biobjective import RefinementParams
+from rgbd_calib.rig.blocks import ESTIMATED
 from rgbd_calib.rig.initialization import InitializationParams
 from rgbd_calib.rig.setup import BundleParams
 from rgbd_calib.trust.self_check import SelfCheckParams
@@ -99,6 +100,10 @@ def _validated(data: dict[str, Any], where: str, over: Mapping[str, Any]) -> Con
         key = ".".join(str(part) for part in first["loc"])
         raise ConfigError(f"{where}: {key}: {short(first['input'])} seen; {first['msg']}") from None
     _check_numbers(asdict(config), where, "")
+    blocks = [block.name for block in ESTIMATED]
+    for name in config.bundle.hold:
+        if name not in blocks:
+            raise ConfigError(f"{where}: bundle.hold: {short(name)} seen; one of {', '.join(blocks)} needed")
     return config
 
 

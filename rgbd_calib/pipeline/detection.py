@@ -17,8 +17,12 @@ from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.detection_cache import Contents, DetectionCache, contents, detector
 from rgbd_calib.pipeline.workers import Ready, Workers
 from rgbd_calib.types import Board, BoardView
+from rgbd_calib.views.board_guess import guess_board
 from rgbd_calib.views.detect import DetectParams, find_corners, with_depth
 
+IMAGES_FOR_GUESS = 12
+RARE = 0.25
+"""Share of the images with the board below which another size is looked for: finders take a part of a board for the whole."""
 Progress = Callable[[Iterable[Any], int, str], Iterator[Any]]
 """Items, how many, and what is being done: yields the items and shows how far it is."""
 
@@ -139,9 +143,26 @@ def detect(
     if not views:
         raise CalibrationError(
             f"{recording.path}: the board ({board.cols} x {board.rows} inner corners) was found in none of {len(images)} "
-            "images. Check cols and rows in dataset.yaml (they count inner corners), the light and the focus"
+            f"images{_instead(recording, images)}. Check cols and rows in dataset.yaml (they count inner corners), the light and the "
+            "focus"
+        )
+    if len(views) < RARE * len(images) and (instead := _instead(recording, images)):
+        raise CalibrationError(
+            f"{recording.path}: the board ({board.cols} x {board.rows} inner corners) was found in {len(views)} of {len(images)} "
+            f"images{instead}. Correct cols and rows in dataset.yaml: they count inner corners"
         )
     return Detections(views, tuple(image for image, view in zip(images, found, strict=True) if view is None))
+
+
+def _instead(recording: Recording, images: list[tuple[str, str]]) -> str:
+    """Which other checkerboard some of the images show, as a part of a sentence; empty where none."""
+    some = images[:: -(-len(images) // IMAGES_FOR_GUESS)]
+    guess = guess_board(recording.color(*image) for image in some)
+    board = board_of(recording)
+    stated = max(board.cols, board.rows), min(board.cols, board.rows)
+    if guess is None or (guess.cols, guess.rows) == stated:
+        return ""
+    return f", one of {guess.cols} x {guess.rows} in {guess.images} of {guess.looked_at} that were tried"
 
 
 def check_seen(recording: Recording, camera: str, frame: str) -> None:

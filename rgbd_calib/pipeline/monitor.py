@@ -13,13 +13,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from rgbd_calib.errors import CalibrationError, RgbdCalibError
+from rgbd_calib.errors import CalibrationError, ConfigError, RgbdCalibError
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.snapshot import newest_frames, read_snapshot
 from rgbd_calib.pipeline.snapshot import compare_with, summary
 from rgbd_calib.trust.snapshot import Before, SnapshotParams, judge_motions
 from rgbd_calib.types import CameraSnapshot, Rig
 
+_FIRST = b"# HELP rgbd_calib_monitor_"
 Source = Callable[[], Mapping[str, CameraSnapshot] | None]
 """New snapshots by camera; None where there is nothing new since the last call."""
 
@@ -130,6 +131,16 @@ def _round(
         return summary(judge_motions(rig, found, params.snapshot)), ""
     except (RgbdCalibError, OSError) as error:
         return None, str(error)
+
+
+def refuse_foreign(path: Path) -> None:
+    """Raise ConfigError where a file is there that is no earlier state of a monitor."""
+    if path.is_file() and path.stat().st_size:
+        with path.open("rb") as stream:
+            if stream.read(len(_FIRST)) != _FIRST:
+                raise ConfigError(
+                    f"{path}: metrics of a monitor, or no file yet, expected; something else found. Choose another file"
+                )
 
 
 def metrics(round_: Round, failures: int) -> str:

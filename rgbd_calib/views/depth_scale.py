@@ -20,6 +20,10 @@ FACTORS = (1000.0, 100.0, 10.0, 8.0, 5.0, 4.0, 2.54, 1.25)
 """Between units of depth that cameras and data sets use: m, cm, mm; 0.1, 0.125, 0.2 (TUM) and 0.25 mm; inches."""
 UNITS_M = (0.001, 0.0002, 0.0001, 0.00025, 0.000125, 0.01)
 """Metres for each unit of 16-bit depth images, the most usual first."""
+CLIPPED_WIDTH = 1e-4
+CLIPPED_SHARE = 0.05
+"""Of a camera's depths on the board that may be equal to the largest within `CLIPPED_WIDTH`: noise of a millimetre at 2 m leaves
+next to none."""
 WITHIN = 1.09
 """Depth over pixels is that near to the true factor, where the lens is known or estimated; 4 and 5, 8 and 10 stay apart."""
 
@@ -66,6 +70,12 @@ def unit_of_depth(raw: FloatArray, distance_m: FloatArray, within: float = WITHI
     return fitting[0] if len(fitting) == 1 else None
 
 
+def clipped_share(depth_m: FloatArray, width: float = CLIPPED_WIDTH) -> float:
+    """Share of depths (n,) that are equal to the largest within `width`; 0 for none."""
+    z_m = depth_m[np.isfinite(depth_m)]
+    return float(np.mean(z_m > (1 - width) * z_m.max())) if len(z_m) else 0.0
+
+
 def depth_over_pixels(posed: PosedView, board: Board, bias: DepthBias | None) -> float | None:
     """Median of measured depth, its bias removed, over the distance of the board by its pixels; None without depth."""
     measured = np.isfinite(posed.view.depth_m)
@@ -101,6 +111,14 @@ def check_depth_scale(
     }
     if not wrong:
         return
+    for name in wrong:
+        depth_m = np.concatenate([p.view.depth_m for p in posed if p.view.camera == name])
+        if clipped_share(depth_m) > CLIPPED_SHARE:
+            raise CalibrationError(
+                f"{name}: {100 * clipped_share(depth_m):.0f} % of its depths on the board are {np.nanmax(depth_m):.3g} m, and none is "
+                "more: they are clipped, by the sensor or by a conversion. Keep the board within the sensor's range, and convert "
+                "depth without a limit"
+            )
     named = ", ".join(f"{name} {r:.3g}" for name, r in wrong.items())
     low, high = min(usual.values()), max(usual.values())
     if len(wrong) == len(usual) and high < SAME * low:

@@ -13,6 +13,7 @@ from rgbd_calib.io.calibrations.common import (
     FoundCamera,
     lens_of_matrix,
     matrix,
+    needed,
     numbers,
     rigid_of_vectors,
 )
@@ -36,7 +37,7 @@ def read(document: Document) -> FoundCalibration:
                 "video, set rotation_count = 0 and calibrate again"
             )
         K = matrix(path, f"{name}.matrix", own["matrix"], 3, 3)
-        distortion = numbers(path, f"{name}.distortions", own.get("distortions", []))
+        distortion = numbers(path, f"{name}.distortions", needed(path, name, own, "distortions"))
         found = lens_of_matrix(path, name, document.need_size(own.get("size")), K, distortion, bool(own.get("fisheye")))
         pose = None
         if "rotation" in own and "translation" in own:

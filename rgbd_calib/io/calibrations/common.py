@@ -139,6 +139,22 @@ def _element(element: ElementTree.Element) -> Any:
     return {child.tag: _element(child) for child in children}
 
 
+def needed(path: Path, where: str, tree: Mapping[str, Any], *keys: str) -> Any:
+    """The value of the first of these keys that is there; a lens without distortion says so, as zeros or an empty list.
+
+    Raises
+    ------
+    ConfigError
+        None of them is: a mistyped key would make a lens without distortion of any.
+    """
+    for key in keys:
+        if key in tree:
+            return tree[key]
+    raise ConfigError(
+        f"{path}: {where}: {keys[0]} expected, {', '.join(map(short, tree))} found. Write it, as [] for a lens without distortion"
+    )
+
+
 def numbers(path: Path, key: str, value: Any, n: int | Sequence[int] | None = None) -> FloatArray:
     """The numbers (n,) of a value: a list, nested lists, or an OpenCV or ROS matrix `{rows, cols, data}`.
 

@@ -21,6 +21,7 @@ from rgbd_calib.io.calibrations.common import (
     FoundCamera,
     lens_of_matrix,
     matrix,
+    needed,
     numbers,
     rigid_of_matrix,
     rigid_of_vectors,
@@ -81,7 +82,7 @@ def _own_export(document: Document) -> FoundCalibration:
             raise ConfigError(f"{path}: cameras[{i}]: name and camera_matrix are needed. Is it complete?")
         name = str(own["name"])
         K = matrix(path, f"{name}.camera_matrix", own["camera_matrix"], 3, 3)
-        D = numbers(path, f"{name}.distortion_coefficients", own.get("distortion_coefficients", []))
+        D = numbers(path, f"{name}.distortion_coefficients", needed(path, name, own, "distortion_coefficients"))
         found = lens_of_matrix(path, name, document.need_size(_size(own)), K, D, bool(_flag(own.get("fisheye"))))
         T = rigid_of_matrix(path, f"{name}.T_world_color", own["T_world_color"]) if "T_world_color" in own else None
         cameras[name] = FoundCamera(found, T)

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from rgbd_calib.io.calibrations.common import Document, FoundCalibration, FoundCamera, Tree, numbers, rigid
+from rgbd_calib.io.calibrations.common import Document, FoundCalibration, FoundCamera, Tree, needed, numbers, rigid
 from rgbd_calib.io.calibrations.makers_lens import lens_of_maker
 from rgbd_calib.types import DepthCamera
 
@@ -26,7 +26,7 @@ def read(document: Document) -> FoundCalibration:
         name = "_".join(k for k in keys if k not in ("intrinsics", "intrinsic", "")) or document.stem
         width, height, fx, fy, ppx, ppy = numbers(path, name, [own[key] for key in _KEYS], 6)
         size = (int(width), int(height))
-        coefficients = own.get("coeffs", own.get("coefficients", []))
+        coefficients = needed(path, name, own, "coeffs", "coefficients")
         lenses[name], note = lens_of_maker(
             path, name, size, (fx, fy), (ppx, ppy), str(own.get("model", "")), coefficients
         )

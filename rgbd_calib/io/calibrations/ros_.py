@@ -19,6 +19,7 @@ from rgbd_calib.io.calibrations.common import (
     lens_of_matrix,
     load_document,
     matrix,
+    needed,
     numbers,
     rigid_of_quaternion,
 )
@@ -94,9 +95,10 @@ def _camera(document: Document) -> tuple[str, Intrinsics]:
     name = str(tree.get("camera_name") or path.stem)
     size = (tree.get("image_width", tree.get("width")), tree.get("image_height", tree.get("height")))
     K = tree.get("camera_matrix", tree.get("K", tree.get("k")))
-    D = tree.get("distortion_coefficients", tree.get("D", tree.get("d")))
+    model = str(tree.get("distortion_model", ""))
+    D = [] if model == "none" else needed(path, name, tree, "distortion_coefficients", "D", "d")
     own = document.need_size(None if None in size else size)
-    return name, lens_of_info(path, name, own, K, str(tree.get("distortion_model", "")), D)
+    return name, lens_of_info(path, name, own, K, model, D)
 
 
 def _static_transforms(folder: Path, cameras: list[str]) -> tuple[dict[str, Any], tuple[str, ...]]:

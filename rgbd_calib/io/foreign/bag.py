@@ -59,6 +59,9 @@ class Bag:
             return self._reader.deserialize(data, connection.msgtype)
 
 
+_ROS_1 = b"#ROSBAG V2.0\n"
+
+
 @contextmanager
 def open_bag(path: Path) -> Iterator[Bag]:
     """Open a bag.
@@ -73,6 +76,10 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
     limit_expansion()
     with bag_faults(str(path)):
+        if path.suffix == ".bag":
+            with path.open("rb") as stream:
+                if stream.read(len(_ROS_1)) != _ROS_1:  # its reader looks for the end of the line, however far it is
+                    raise ValueError(f"{_ROS_1.decode()!r} expected at the begin")
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
         if not all(isinstance(text, str) for c in reader.connections for text in (c.topic, c.msgtype)):

@@ -21,6 +21,8 @@ class PixelField(Block):
     name = "pixel field"
     scope = Scope.CAMERA
     kinds = frozenset({Kind.PIXEL})
+    least_seen = 1e-2
+    """Poses and lens have what is smoother but for their priors, of which noisy corners leave up to 6e-4; the next leaves 2.6e-2."""
     held = Fault(
         "pixels over the image",
         lambda t: (

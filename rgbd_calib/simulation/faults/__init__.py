@@ -1,6 +1,6 @@
 """Ways to spoil a session: each a function from a scene to what is found on disk."""
 
-from rgbd_calib.simulation.faults import board, cameras, depth, filming  # each adds its own
+from rgbd_calib.simulation.faults import board, cameras, depth, filming, reported  # each adds its own
 from rgbd_calib.simulation.faults.common import FAULTS, RINGS, Fault
 
-__all__ = ["FAULTS", "RINGS", "Fault", "board", "cameras", "depth", "filming"]
+__all__ = ["FAULTS", "RINGS", "Fault", "board", "cameras", "depth", "filming", "reported"]

@@ -20,6 +20,7 @@ from rgbd_calib.simulation.faults.common import (
     with_lens,
     with_pixels,
 )
+from rgbd_calib.simulation.lenses import color_lens
 from rgbd_calib.simulation.session import Scene, Session, draw_board, film, film_close
 from rgbd_calib.simulation.views import true_views
 from rgbd_calib.types import Board, BoardView
@@ -108,17 +109,11 @@ def _refocused_before(scene: Scene, rng: Rng) -> Session:
     return replace(film(now, rng), close=film_close(scene, rng))
 
 
-@named("a lens beyond the model (4th radial term)")
-def _fisheye(scene: Scene, rng: Rng) -> Session:
+@named("a lens beyond the model (rational, of an Azure Kinect)")
+def _rational(scene: Scene, rng: Rng) -> Session:
     camera = second_camera(scene)
-    lens = scene.rig.cameras[camera].intrinsics
-
-    def bend(view: BoardView) -> BoardView:
-        d = (view.corners_px - [lens.cx, lens.cy]) / lens.fx
-        r2 = np.sum(d**2, axis=1, keepdims=True)
-        return replace(view, corners_px=view.corners_px + lens.fx * d * 0.4 * (r2**4 - 0.35 * r2**2))
-
-    return change_views(film(scene, rng), camera, bend, close=True)
+    lens = color_lens("rational", scene.rig.cameras[camera].intrinsics, rng)
+    return film(replace(scene, rig=with_lens(scene.rig, camera, lens)), rng)
 
 
 @named("intrinsics file of another camera")

@@ -99,6 +99,8 @@ def check_bundle(
     errors, explained = findings_of(eq, tests, params, stated_mm)
     noise = noise_of_bundle(solved, eq)
     motion = check_motion(eq, explained, {name: own.apart_px_mm for name, own in noise.items()}, errors, params)
+    by_cameras = any(own.cameras for own in errors)  # then boards are wrong, and would be blamed on the walls
+    wrong_walls = [] if by_cameras else check_walls(walls_of_bundle(solved), params)
     if motion:
         errors = [*motion, *(own for own in errors if not own.cameras)]
     folds = hold_out(eq, params)
@@ -123,9 +125,7 @@ def check_bundle(
         *of_folds,
         *(f for f in check_noise(noise, params, stated_mm) if not (errors and f.effect_mm)),
         *check_groups(ratios, params),
-        *(
-            [] if errors else check_walls(walls_of_bundle(solved), params)
-        ),  # the boards' errors would be blamed on the walls
+        *wrong_walls,
     ]
     statistics = {
         "scale": _scale(eq, tests),

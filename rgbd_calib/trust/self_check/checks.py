@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.trust.self_check.findings import Finding, Level, SelfCheckParams
 from rgbd_calib.types import BoardView, IntArray
+from rgbd_calib.views.depth_scale import clipped_share
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,7 @@ def check_clipped(views: Sequence[BoardView], params: SelfCheckParams) -> list[F
     out = []
     for name, listed in depths.items():
         z_m = np.concatenate(listed)
-        share = float(np.mean(z_m > (1 - params.clipped_width) * z_m.max())) if len(z_m) else 0.0
+        share = clipped_share(z_m, params.clipped_width)
         if share > params.max_clipped_share:
             text = f"{100 * share:.0f} % of {name}'s depths on the board are {z_m.max():.2f} m, and none is more: they are clipped"
             advice = "Keep the board within the sensor's range, and convert depth without a limit"

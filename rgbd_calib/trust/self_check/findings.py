@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from rgbd_calib.views.depth_scale import CLIPPED_SHARE, CLIPPED_WIDTH
+
 Level = Literal["caution", "distrust"]
 
 
@@ -58,10 +60,8 @@ class SelfCheckParams:
     max_copies: float = 2.0
     """Frames for each placement of the board: with more, the stated errors are too small by the root of it and more."""
 
-    max_clipped_share: float = 0.05
-    """Of a camera's depths on the board that may be equal to the largest within `clipped_width`: noise of a millimetre at
-    2 m leaves next to none."""
-    clipped_width: float = 1e-4
+    max_clipped_share: float = CLIPPED_SHARE
+    clipped_width: float = CLIPPED_WIDTH
 
 
 @dataclass(frozen=True)

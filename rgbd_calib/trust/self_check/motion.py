@@ -32,15 +32,17 @@ def check_motion(
     if not any(own.cameras for own in errors) or not _ratios(explained) > params.max_left_apart:
         return []
     name = max(eq.cameras, key=lambda c: _ratios(eq, c))
+    if apart_mm.get(name, 0.0) < params.distrust_mm:
+        return []
     text = (
         f"{name}'s images put the board elsewhere in each frame than the other cameras' images do, by "
-        f"{apart_mm.get(name, 0.0):.0f} mm (RMS), and no error of a lens or a pose explains it: frames of one name are not one instant"
+        f"{apart_mm[name]:.0f} mm (RMS), and no error of a lens or a pose explains it: frames of one name are not one instant"
     )
     advice = (
         "The board moved between the cameras' exposures, or clocks differ: hold it still until all have exposed, or find the clocks "
         "with `rgbd-calib sync` (`synchronous: false` in dataset.yaml)"
     )
-    return [Finding("board moved", "distrust", (name,), text, advice, round(apart_mm.get(name, 0.0), 2))]
+    return [Finding("board moved", "distrust", (name,), text, advice, round(apart_mm[name], 2))]
 
 
 def _ratios(eq: Equations, camera: str | None = None) -> float:

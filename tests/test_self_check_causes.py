@@ -1,0 +1,58 @@
+"""Causes that the self-checks tell apart: a moved board from a lens, slips of the tape from an offset or a factor."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rgbd_calib.trust.self_check import SelfCheckParams
+from rgbd_calib.trust.self_check import motion as motion_check
+from rgbd_calib.trust.self_check.findings import Finding
+from rgbd_calib.trust.self_check.motion import check_motion
+from rgbd_calib.trust.self_check.walls import WallDistances, check_walls
+
+TRUE_M = np.linspace(0.6, 4.0, 10)
+
+
+def told(*written_m: np.ndarray) -> list[str]:
+    walls = {f"C{k + 1}": WallDistances(w, TRUE_M, np.full(10, 0.003)) for k, w in enumerate(written_m)}
+    return [f.text for f in check_walls(walls, SelfCheckParams())]
+
+
+def test_distances_as_tapes_are_say_nothing():
+    rng = np.random.default_rng(0)
+    assert told(*(TRUE_M + rng.normal(0, 0.003, (3, 10)))) == []  # 8 sigma: 1e-15 each
+
+
+@pytest.mark.parametrize(
+    ("written_m", "says"),
+    [
+        (
+            TRUE_M + 0.05,
+            "C1, C2: written distances of walls differ from those by the boards, by 50 mm (RMS): all are +50 mm off",
+        ),
+        (TRUE_M * 1.03, "they are 1.030 times as long"),
+        (TRUE_M + 0.04 * np.sin(9 * TRUE_M), "by the boards, by "),
+        (np.where(np.arange(10) == 3, 2.1, TRUE_M), "that the boards contradict: 2.100 m for 1.733 m"),
+    ],
+)
+def test_what_walls_are_off_by_is_said_once(written_m, says):
+    (text,) = told(written_m, written_m)
+    assert says in text
+
+
+@pytest.mark.parametrize(("left", "moved"), [(1.3, False), (20.0, True)])
+def test_a_lens_is_the_cause_only_if_it_leaves_views_that_agree(monkeypatch, left, moved):
+    before = SimpleNamespace(cameras=("C1", "C2"), camera=np.array([0, 1]), size=(300.0, 2000.0))
+    after = SimpleNamespace(cameras=("C1", "C2"), camera=np.array([0, 1]), size=(left, left))
+
+    def residuals(eq):
+        return np.tile(np.array(eq.size)[:, None], 9), np.ones((2, 9))
+
+    monkeypatch.setattr(motion_check, "pose_residuals", residuals)
+    lens = Finding("pixels over the image", "distrust", ("C2",), "a lens", "look")
+    found = check_motion(before, after, {"C1": 7.0, "C2": 19.0}, [lens], SelfCheckParams())
+    assert [f.cameras for f in found] == ([("C2",)] if moved else [])
+    assert check_motion(before, after, {}, [], SelfCheckParams()) == []
