@@ -379,7 +379,7 @@ def _threads(t: Trial) -> str:
 def _serving(t: Trial) -> str:
     tests = Path(t.env["PYTHONPATH"]) / "tests" / "test_serving.py"
     if not tests.exists():
-        return "no such tests: any Host was answered, 1,300 idle connections starved it"
+        return "not run: this version has no such tests"
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-n", "0", str(tests)],
         env=t.env,

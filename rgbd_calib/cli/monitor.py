@@ -121,7 +121,7 @@ def command(
         monitor.refuse_foreign(metrics)
     rig, old = read_rig(rig_path), open_recording(snapshot or kept_beside(rig_path))
     if folder is not None and folder.exists() and os.path.samefile(folder, old.path):
-        raise ConfigError(f"{folder}: is the old snapshot. Give the folder that new images come to")
+        say(f"{folder}: is the old snapshot itself, which any rig passes")
     before = prepare(rig, old)
     if not before:
         raise ConfigError(f"{old.path}: no camera has colour and depth images; a snapshot needs both. Record it again")

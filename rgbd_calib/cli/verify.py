@@ -122,6 +122,8 @@ def _against_snapshot(
     from rgbd_calib.trust.displacement import VerdictParams
     from rgbd_calib.trust.snapshot import SnapshotParams
 
+    if opened.path.samefile(snapshot):
+        say(f"{opened.path}: is the old snapshot itself, which any rig passes")
     params = SnapshotParams(distance_m, VerdictParams(max_m=max_mm / 1e3))
     numbers = summary(verify_snapshot(rig, opened, open_recording(snapshot), params))
     if not quiet:

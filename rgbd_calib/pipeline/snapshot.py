@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rgbd_calib.errors import CalibrationError, ConfigError
+from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.io.files import plain
@@ -59,23 +59,13 @@ def prepare(rig: Rig, old: Recording) -> dict[str, Before]:
 def compare(rig: Rig, new: Recording, before: Mapping[str, Before]) -> dict[str, CameraMotion]:
     """The motion of each camera that both snapshots have."""
     both = [name for name in common_cameras(new, rig) if name in before]
-    found = compare_with(before, both, lambda name: _not_the_old_one(new, before[name], read_snapshot(new, name)))
+    found = compare_with(before, both, lambda name: read_snapshot(new, name))
     if not found:
         raise CalibrationError(
             f"{new.path}: no camera has colour and depth images in both snapshots; at least one is needed. "
             f"The old one has {', '.join(before) or 'none'}. Record both with depth: rgbd-calib capture OUT --snapshot"
         )
     return found
-
-
-def _not_the_old_one(new: Recording, before: Before, snapshot: CameraSnapshot | None) -> CameraSnapshot | None:
-    """Refuse a copy of the old snapshot, which any rig would pass."""
-    if snapshot is not None and before.is_of(snapshot):
-        raise ConfigError(
-            f"{new.path}: {snapshot.camera}'s colour image is that of the old snapshot, pixel by pixel; a new one is needed. Record it: "
-            "rgbd-calib capture OUT --snapshot"
-        )
-    return snapshot
 
 
 @one_blas_thread

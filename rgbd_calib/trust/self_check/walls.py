@@ -70,11 +70,16 @@ def check_walls(walls: Mapping[str, WallDistances], params: SelfCheckParams) -> 
     for name, own in walls.items():
         wrong = np.abs(own.off_m) > params.wall_sigmas * own.sd_m
         if wrong.any():
-            slips = wrong.sum() <= max(1, len(wrong) // 4)
+            slips = wrong.sum() <= max(1, len(wrong) // 4) and _fit(own.only(~wrong))
             by_kind.setdefault("slips" if slips else _kind(own), {})[name] = own.only(wrong) if slips else own
     return [
         Finding("walls", "caution", tuple(some), _told(kind, some), _ADVICE[kind]) for kind, some in by_kind.items()
     ]
+
+
+def _fit(own: WallDistances) -> bool:
+    """Are these as good as was stated? Where not, what is wrong with one wall is wrong with all."""
+    return bool(np.sqrt(np.mean((own.off_m / own.sd_m) ** 2)) < 2.0)
 
 
 def _kind(own: WallDistances) -> str:

@@ -36,10 +36,6 @@ class Before:
         self.surface = Surface(camera, snapshot.depth_m)
         self.grey = pixels.grey(snapshot.color)
 
-    def is_of(self, snapshot: CameraSnapshot) -> bool:
-        """The same image, pixel by pixel: two of one camera differ by their noise."""
-        return np.array_equal(pixels.grey(snapshot.color), self.grey)
-
 
 @dataclass(frozen=True)
 class CameraMotion:
