@@ -16,8 +16,10 @@ from rgbd_calib.errors import ConfigError
 from rgbd_calib.io import folder_guess
 from rgbd_calib.io import layout as layout_of_files
 from rgbd_calib.io.files import dump_yaml, load_yaml
+from rgbd_calib.io.frame_names import times_us
 from rgbd_calib.io.layout import FilePatterns
 from rgbd_calib.io.recording import open_recording
+from rgbd_calib.io.rig import read_rig
 from rgbd_calib.io.sniff import Sniffed, sniff
 from rgbd_calib.views.board_guess import BoardGuess, guess_board
 from rgbd_calib.views.depth_scale import likely_factor, name_factor, unit_of_depth
@@ -384,3 +386,147 @@ def test_a_file_that_cannot_be_read_is_named(drawn, run, tmp_path):
     os.mkfifo(pipe)
     told = run("init", folder, *BOARD_OPTIONS, "--yes")
     assert f"{pipe.relative_to(folder).as_posix()} cannot be read" in told.stderr
+
+
+DAY = [f"20240501_12{30 + (50 + i) // 60:02d}{(50 + i) % 60:02d}_{(137 * i) % 1000:03d}" for i in N]
+DECIMALS = [f"{1305031102.1 + i / 7.5:.6f}" for i in N]
+
+
+@pytest.mark.parametrize(
+    ("stems", "form"),
+    [
+        (DAY, "{c}/{k}_{t}.png"),
+        (DECIMALS, "{c}/{k}/{t}.png"),
+        ([f"{0.1234 + 0.5 * i:.4f}" for i in N], "{c}/{k}/{t}.png"),
+        ([f"2024-05-01_12-{30 + i // 6}-{i % 6 * 10:02d}" for i in N], "{c}_{t}_{k}.png"),
+        ([f"{1305031102 + i // 8}-{125_000_000 * (i % 8)}" for i in N if i % 8], "{k}/{c}/{t}.png"),
+    ],
+)
+def test_a_time_in_a_name_is_one_number(pretend, stems, form):
+    cameras = ("cam0", "cam1")
+    kinds = {"rgb": "color", "depth": "grey 16"}
+    files = {form.format(c=c, k=k, t=t): pixels for c in cameras for t in stems for k, pixels in kinds.items()}
+    guess = folder_guess.guess_layout(pretend(files))
+    assert guess.cameras == cameras
+    assert guess.patterns.color == form.replace("{c}", "{camera}").replace("{t}", "{frame}").replace("{k}", "rgb")
+    assert all(list(s.files) == sorted(stems) for of_kind in guess.streams.values() for s in of_kind.values())
+
+
+@pytest.mark.parametrize(
+    ("name", "time_us"),
+    [
+        ("1305031102.175304", 1_305_031_102_175_304),
+        ("0.1234", 123_400),
+        ("1697000000007", 1_697_000_000_007_000),
+        ("1697000000007123", 1_697_000_000_007_123),
+        ("1520530308199447626", 1_520_530_308_199_448),
+        ("1305031102_000400000", 1_305_031_102_000_400),
+        ("20240501_123000_107", 1_714_566_600_107_000),
+        ("2024-05-01_12-30-00", 1_714_566_600_000_000),
+        ("20249901_123000", None),
+        ("000017", None),
+        ("840412060551", None),
+        ("near", None),
+    ],
+)
+def test_times_that_names_say(name, time_us):
+    assert times_us([name]) == (None if time_us is None else [time_us])
+    assert times_us([]) is None
+
+
+def test_colour_in_the_geometry_of_depth_is_colour(pretend):
+    aligned = names("{c}/{k}/{i}.png", ("C1", "C2"), color_to_depth="color", depth="grey 16")
+    guess = folder_guess.guess_layout(pretend(aligned))
+    assert guess.patterns == FilePatterns("{camera}/color_to_depth/{frame}.png", "{camera}/depth/{frame}.png")
+    both = aligned | names("{c}/{k}/{i}.jpg", ("C1", "C2"), color="color")
+    guess = folder_guess.guess_layout(pretend(both))
+    assert guess.patterns.color == "{camera}/color/{frame}.jpg"
+    assert "12 files C1/color_to_depth/{frame}.png are not used (64x48 px, color)" in guess.remarks
+
+
+def test_names_of_cameras_in_any_script(pretend):
+    guess = folder_guess.guess_layout(pretend(names("相机{c}/{k}/{i}.png", (1, 2), color="color", depth="grey 16")))
+    assert guess.cameras == ("相机1", "相机2")
+
+
+@pytest.mark.parametrize(
+    ("files", "needle"),
+    [
+        (
+            names("{c}/{k}/{i}.png", ("C1", "C2"), color="color", depth="grey 8"),
+            "depth of 16 bits or floating point expected",
+        ),
+        (
+            names("take{c}/cam1/{i}.png", (1, 2), k="color") | names("take{c}/cam2/{i}.png", (1, 2), k="color"),
+            "several recordings",
+        ),
+        ({"session.zip": "color"}, "seen: 1 .zip in .*Unpack session.zip"),
+        ({"cam1.mp4": "color"}, r"rgbd-calib import /recording -o RECORDING"),
+    ],
+)
+def test_what_is_refused_says_what_to_do(pretend, files, needle):
+    with pytest.raises(ConfigError, match=needle):
+        folder_guess.guess_layout(pretend(files))
+
+
+@pytest.mark.parametrize(
+    ("depth", "needle"),
+    [
+        ("{camera}/depth_{frame}.exr", "Import: rgbd-calib import"),
+        ("{camera}/depth_{frame}.raw", "neither size nor type. Write depth as 16-bit PNG"),
+    ],
+)
+def test_depth_that_is_not_read_where_it_is_leaves_nothing(run, drawn, tmp_path, depth, needle):
+    folder = lay_out(
+        drawn, tmp_path / "f", "{camera}/color_{frame}.png", depth, lambda path, raw: path.write_bytes(raw.tobytes())
+    )
+    out = run("init", folder, *BOARD_OPTIONS, "--yes")
+    assert out.status == 2 and needle in out.stderr
+    assert not (folder / "dataset.yaml").exists()
+
+
+def test_names_that_are_times_are_joined_by_an_import(run, drawn, tmp_path):
+    """The clock of the second camera, and that of depth, say another time than the first camera's colour does."""
+    folder, original = tmp_path / "f", open_recording(drawn)
+    for n, camera in enumerate(original.cameras):
+        for i, frame in enumerate(original.frames):
+            for k, (kind, files) in enumerate((("rgb", original.color_files), ("depth", original.depth_files))):
+                path = folder / camera / kind / f"{1_697_000_000_000 + 200 * i + 7 * n + 3 * k}.png"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(files[camera][frame], path)
+    out = run("init", folder, *BOARD_OPTIONS, "--yes")
+    assert out.status == 2 and "Join them by time: rgbd-calib import" in out.stderr
+    joined = run("import", folder, "-o", tmp_path / "out", *BOARD_OPTIONS)
+    assert joined.status == 0 and "names of files are times" in joined.stderr, joined.stderr
+    recording = open_recording(tmp_path / "out")
+    for camera in recording.cameras:
+        assert recording.depth_files[camera].keys() == recording.color_files[camera].keys() == set(recording.frames)
+    assert len(recording.frames) == len(original.frames)
+    assert recording.timestamps_us("C2")[recording.frames[1]] == (207_000, 210_000)
+
+
+def test_names_with_a_dot_are_read_by_a_pattern_of_any_suffix(run, drawn, tmp_path):
+    folder, original = tmp_path / "f", open_recording(drawn)
+    for camera in original.cameras:
+        for i, frame in enumerate(original.frames):
+            path = folder / camera / "color" / f"{0.1234 + i / 7:.4f}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(original.color_files[camera][frame], path)
+    out = run("import", folder, "-o", tmp_path / "out", *BOARD_OPTIONS)
+    assert out.status == 0, out.stderr
+    assert open_recording(tmp_path / "out").frames[0] == "0.1234"
+
+
+def test_the_step_of_floating_point_depth_is_no_metre(run, drawn, tmp_path):
+    """Metres for each unit are 1 there, and the sensor's rounding is not: else depth would have no weight."""
+    folder = lay_out(drawn, tmp_path / "f", "{camera}/color/{frame}.png", "{camera}/depth/{frame}.tiff", in_metres)
+    assert run("init", folder, *BOARD_OPTIONS, "--yes").status == 0
+    info = open_recording(folder).cameras["C1"]
+    assert (info.depth_scale, info.depth_step_m) == (1.0, 0.001)
+    rigs = {}
+    for name, recording in (("float", folder), ("integer", drawn)):
+        done = run("calibrate", recording, "-o", tmp_path / f"{name}.yaml")
+        assert done.status == 0, done.stderr
+        rigs[name] = read_rig(tmp_path / f"{name}.yaml")
+    mean_mm = {name: rig.quality["expected_alignment"]["mean_mm"] for name, rig in rigs.items()}
+    assert mean_mm["float"] == pytest.approx(mean_mm["integer"], rel=0.05)

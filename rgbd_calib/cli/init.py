@@ -70,7 +70,7 @@ def command(
     from rgbd_calib.io.files import dump_yaml, write_text
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.pipeline.config import load_config
-    from rgbd_calib.pipeline.init_recording import Answers, describe, find_board, look_at, sentences
+    from rgbd_calib.pipeline.init_recording import Answers, check_frames, describe, find_board, look_at, sentences
 
     named_board = board()
     given: dict[Any, str] = {k: text for k, text in (("color", color), ("depth", depth), ("ir", ir)) if text}
@@ -79,6 +79,7 @@ def command(
     found = look_at(folder, given, calibration)
     for line in sentences(found):
         say(line)
+    check_frames(found)
     asking = not yes and sys.stdin.isatty() and sys.stderr.isatty()
     if named_board is None and len(found.boards) == 1:
         ((path, named_board),) = found.boards
@@ -97,8 +98,14 @@ def command(
     if dry_run:
         show(text.rstrip("\n"))
         return
+    before = target.read_text("utf-8") if target.exists() else None
     write_text(target, text)
-    for remark in open_recording(folder).remarks:
+    try:
+        remarks = open_recording(folder).remarks
+    except ConfigError:  # a description that does not hold stays away: the next command would find it
+        target.unlink() if before is None else write_text(target, before)
+        raise
+    for remark in remarks:
         say(f"Warning: {remark}")
     say(f"Wrote {target}. Next: rgbd-calib doctor {folder}")
 

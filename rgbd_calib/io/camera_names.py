@@ -11,7 +11,7 @@ from rgbd_calib.io.layout import Kind
 from rgbd_calib.io.schema_base import check_name
 
 FRAME, CAMERA = "{frame}", "{camera}"
-TOKENS = re.compile(r"[A-Za-z]+|\d+|\{frame\}|[^A-Za-z\d{}]")
+TOKENS = re.compile(r"\{frame\}|[^\W\d_]+|\d+|[^\w{}]|_")
 """Words, numbers, and what stands between them."""
 Naming = tuple[list[str], str | None]
 """Cameras of the streams of one kind, and their pattern."""
@@ -53,9 +53,14 @@ def name_cameras(root: Path, by_kind: Mapping[Kind, Sequence[str]]) -> dict[Kind
 
 
 def _unclear(root: Path, kind: Kind, templates: Sequence[str], of: str) -> ConfigError:
+    split = [TOKENS.findall(t) for t in templates]
+    same = len({len(tokens) for tokens in split}) == 1
+    places = [set(column) for column in zip(*split, strict=True) if len(set(column)) > 1] if same else []
+    several = len(places) > 1 and len(templates) > max(map(len, places))
+    takes = f". If {root} holds several recordings, give the folder of one of them" if several else ""
     return ConfigError(
-        f"{root}: {kind} images {', '.join(templates[:6])} seen{of}; their names do not tell which camera is which. Say it: "
-        f"--{kind} PATTERN, with {CAMERA} and {FRAME} in it"
+        f"{root}: {kind} images {', '.join(templates[:6])} seen{of}; their names do not tell which camera is which{takes}. Say "
+        f"it: --{kind} PATTERN, with {CAMERA} and {FRAME} in it"
     )
 
 
@@ -71,7 +76,7 @@ def _by_known(templates: Sequence[str], cameras: Sequence[str]) -> list[Naming]:
     names: list[str] = []
     patterns: set[str] = set()
     for template in templates:
-        there = [c for c in cameras if re.search(rf"(?<![A-Za-z\d]){re.escape(c)}(?![A-Za-z\d])", template)]
+        there = [c for c in cameras if re.search(rf"(?<![^\W_]){re.escape(c)}(?![^\W_])", template)]
         if len(there) != 1:
             return []
         names.append(there[0])
@@ -102,7 +107,7 @@ def _namings(templates: Sequence[str]) -> list[Naming]:
     if len(templates) == 1:
         template = templates[0]
         ways: list[Naming] = []
-        for match in re.finditer(r"(?:^|(?<=[/_.\- ]))[A-Za-z]+\d+(?=[/_.\- ])", template):  # cam0 in cam0_rgb_{frame}
+        for match in re.finditer(r"(?:^|(?<=[/_.\- ]))[^\W\d_]+\d+(?=[/_.\- ])", template):  # cam0 in cam0_rgb_{frame}
             ways.append(([match.group()], template.replace(match.group(), CAMERA)))
         folder = template.split("/")[0]
         if _alone(template) == folder:
@@ -110,7 +115,7 @@ def _namings(templates: Sequence[str]) -> list[Naming]:
         return ways
     ways = _by_tokens(templates)
     first, last = _common(templates), _common([t[::-1] for t in templates])
-    for widen in (r"[^/]", r"[A-Za-z\d]", r"[A-Za-z]", r""):
+    for widen in (r"[^/]", r"[^\W_]", r"[^\W\d_]", r""):
         head = re.sub(rf"{widen}*$", "", first) if widen else first
         tail = re.sub(rf"{widen}*$", "", last) if widen else last
         middles = [t[len(head) : len(t) - len(tail)] for t in templates]

@@ -78,6 +78,9 @@ class Mount:
     """Standard deviations of the intrinsics, where they are stated."""
 
 
+_UNIT_OF_FLOATS_M = 0.1
+
+
 @dataclass(frozen=True)
 class CameraInfo:
     """What dataset.yaml says of a camera; `depth_scale` is metres for each unit of its 16-bit depth images."""
@@ -106,6 +109,14 @@ class CameraInfo:
         own_geometry = self.depth is not None or self.mount is not None
         by_size = own_geometry and self.depth_size in TOF_SIZES
         return self.kind == "time_of_flight" or (self.kind is None and by_size)
+
+    @property
+    def depth_step_m(self) -> float:
+        """Metres between neighbouring values of its depth.
+
+        No unit of integers is 0.1 m or more: that is the unit of floating-point depth, of which sensors round to 1 mm or less.
+        """
+        return self.depth_scale if self.depth_scale < _UNIT_OF_FLOATS_M else 0.001
 
     @property
     def depth_size(self) -> tuple[int, int]:

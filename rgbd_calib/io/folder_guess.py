@@ -7,6 +7,7 @@ infrared where the pixels do not, and what is left of the path and differs betwe
 from __future__ import annotations
 
 import re
+import shlex
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,12 +15,12 @@ from pathlib import Path
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.camera_names import CAMERA, FRAME, TOKENS, name_cameras
+from rgbd_calib.io.frame_names import NUMBER
 from rgbd_calib.io.images import DEPTH_SUFFIXES, SUFFIXES
-from rgbd_calib.io.layout import KINDS, FilePatterns, Kind, walk
+from rgbd_calib.io.layout import KINDS, FilePatterns, Kind, describe_unused, walk
 from rgbd_calib.io.schema_base import check_name
 from rgbd_calib.io.sniff import Sniffed, sniff
 
-_DIGITS = re.compile(r"\d+")
 _CAMERA_WORDS = (
     "c",
     "cam",
@@ -39,6 +40,10 @@ _CAMERA_WORDS = (
 _DEPTH_WORDS = ("depth", "dpt", "range", "tof", "z16", "disparity")
 _IR_WORDS = ("ir", "infra", "infrared", "nir", "amplitude")
 _OTHER_WORDS = ("mask", "label", "seg", "normal", "conf", "confidence", "vis", "colormap", "preview", "points", "cloud")
+_ARCHIVES = (".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".xz", ".bz2", ".zst")
+_IMPORTED = (".mp4", ".m4v", ".avi", ".mov", ".mkv", ".webm", ".bag", ".db3", ".mcap", ".oni", ".npz", ".exr")
+"""What `import` reads and `init` does not."""
+_ONTO_WORDS = ("to", "2", "into", "onto", "in")
 _REGISTERED_WORDS = ("align", "aligned", "regist", "registered", "warped", "transformed", "reg")
 
 
@@ -58,7 +63,17 @@ class Stream:
 
     @property
     def is_depth(self) -> bool:
-        return any(word.startswith(_DEPTH_WORDS) for word in self.words)
+        return any(word.startswith(_DEPTH_WORDS) and not onto for word, onto in self._onto())
+
+    @property
+    def is_onto_depth(self) -> bool:
+        """Colour in the geometry of depth: color_to_depth."""
+        return any(word.startswith(_DEPTH_WORDS) and onto for word, onto in self._onto())
+
+    def _onto(self) -> list[tuple[str, bool]]:
+        """Each word, and whether it is what another kind is aligned to."""
+        words = [token.lower() for token in TOKENS.findall(self.template) if token.isalnum()]
+        return [(word, before in _ONTO_WORDS) for before, word in zip(["", *words], words, strict=False)]
 
     @property
     def is_other(self) -> bool:
@@ -131,6 +146,19 @@ def _coinciding(guess: Guess) -> int:
     return sum(len(set(s.files) & set(depth[c].files)) for c, s in guess.streams["color"].items() if c in depth)
 
 
+def names_coincide(guess: Guess) -> bool:
+    """Whether half of the frames of a stream, at least, have the name of a frame that they belong to.
+
+    Of depth and infrared against their camera's colour, and of each camera against the others.
+    """
+    color = {name: set(stream.files) for name, stream in guess.streams["color"].items()}
+    pairs = [(set(s.files), color[c]) for kind in ("depth", "ir") for c, s in guess.streams[kind].items()]
+    for name, own in color.items():
+        others = [frames for other, frames in color.items() if other != name]
+        pairs += [(own, set().union(*others))] if others else []
+    return all(2 * len(a & b) >= min(len(a), len(b)) for a, b in pairs)
+
+
 def find_streams(
     root: Path, mode: str, more: tuple[str, ...], look: Callable[[Path], Sniffed | None]
 ) -> tuple[list[Stream], list[str]]:
@@ -138,7 +166,7 @@ def find_streams(
     shapes: dict[str, list[str]] = defaultdict(list)
     for path in walk(root):
         if Path(path).suffix.lower() in (*SUFFIXES, *DEPTH_SUFFIXES, *more):
-            shapes[_DIGITS.sub("#", path.rpartition(".")[0]) + Path(path).suffix].append(path)
+            shapes[NUMBER.sub("#", path.rpartition(".")[0]) + Path(path).suffix].append(path)
     for shape in [s for s, paths in shapes.items() if len(paths) == 1 and "#" not in s.rpartition("/")[2]]:
         folder = shapes[shape][0].rpartition("/")[0]  # names without numbers: all of the folder
         shapes[f"{folder}/*{Path(shape).suffix}"] += shapes.pop(shape)
@@ -156,7 +184,9 @@ def find_streams(
             streams.append(Stream(template, files, one))
         else:
             why = "images of several kinds or sizes"
-            if unread:
+            if looks == {None} and template.endswith(".npz"):
+                why = "of .npz, files of one array each are read"
+            elif unread:
                 why = "no images that can be read" if looks == {None} else f"{', '.join(unread[:3])} cannot be read"
             remarks.append(f"{len(files)} files {template} are not used ({why})")
     return streams, remarks
@@ -168,7 +198,7 @@ def _some(frames: list[str]) -> list[str]:
 
 def _numbered(paths: Sequence[str], mode: str) -> list[tuple[str, str, str]]:
     """(template, frame, path) of paths that are equal but for their numbers."""
-    runs = [list(_DIGITS.finditer(path)) for path in paths]
+    runs = [list(NUMBER.finditer(path)) for path in paths]
     suffix_at = [path.rindex(".") for path in paths]
     runs = [[r for r in own if r.end() <= at] for own, at in zip(runs, suffix_at, strict=True)]
     if len({len(own) for own in runs}) > 1 or not runs[0] or (len(paths) == 1 and "/" in paths[0][runs[0][-1].end() :]):
@@ -230,10 +260,19 @@ def _assign(root: Path, streams: Sequence[Stream], remarks: Sequence[str]) -> Gu
     for stream in streams:
         its_kind = kind_of(stream, colored)
         (left if its_kind is None else by_kind[its_kind]).append(stream)
+    if raw := [s for s in by_kind["color"] if not s.is_onto_depth]:  # resampled colour is used where there is no other
+        left += [s for s in by_kind["color"] if s.is_onto_depth]
+        by_kind["color"] = raw
     if not by_kind["color"]:
         seen = "; ".join([f"{s.template} ({len(s.files)}, {_looks(s)})" for s in streams[:6]] + [*remarks[:3]])
+        rest = [path for path in walk(root) if Path(path).suffix.lower() not in (*SUFFIXES, *DEPTH_SUFFIXES)]
+        seen = seen or describe_unused(rest) or "no images"
+        remedy = _other_way(root, rest) or f"Name them: --color PATTERN, with {CAMERA} and {FRAME} in it"
+        raise ConfigError(f"{root}: no colour images found; seen: {seen}. {remedy}")
+    if not by_kind["depth"] and (drawn := [s for s in left if s.is_depth and not s.is_other]):
         raise ConfigError(
-            f"{root}: no colour images found; seen: {seen or 'no images'}. Name them: --color PATTERN, with {CAMERA} and {FRAME} in it"
+            f"{root}: depth of 16 bits or floating point expected, {drawn[0].template} of 8 bits a pixel seen: pictures of depth hold no "
+            f"measurements. Record depth as 16-bit PNG; or calibrate colour alone: --color PATTERN, with {CAMERA} and {FRAME} in it"
         )
     for kind in ("depth", "ir"):
         by_kind[kind], others = _preferred(by_kind[kind])
@@ -243,6 +282,17 @@ def _assign(root: Path, streams: Sequence[Stream], remarks: Sequence[str]) -> Gu
     texts = [named[kind][1] for kind in KINDS]
     unused = [f"{len(s.files)} files {s.template} are not used ({_looks(s)})" for s in left]
     return Guess(found, FilePatterns(texts[0] or "", texts[1], texts[2]), (*remarks, *unused))
+
+
+def _other_way(root: Path, paths: Sequence[str]) -> str:
+    """What to do about a folder of no images, by the suffixes of what is in it; empty where nothing is known."""
+    suffixes = {Path(path).suffix.lower(): path for path in paths}
+    packed = next((suffixes[s] for s in _ARCHIVES if s in suffixes), None)
+    if packed is not None:
+        return f"Unpack {packed}, and give the folder that comes out of it"
+    if suffixes.keys() & {*_IMPORTED}:
+        return f"Import them: rgbd-calib import {shlex.quote(str(root))} -o RECORDING"
+    return ""
 
 
 def kind_of(stream: Stream, colored: bool) -> Kind | None:

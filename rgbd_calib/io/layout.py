@@ -168,7 +168,10 @@ def _compile(text: str, cameras: Sequence[str]) -> re.Pattern[str]:
         parts += [_literal(text[at : field.start()]), groups[name]]
         groups[name] = f"(?P={name})"
         at = field.end()
-    return re.compile("".join([*parts, _literal(text[at:])]))
+    last = _literal(text[at:])
+    if text.endswith(".*"):  # a suffix has no dot in it: 0.1234.png is frame 0.1234
+        last = last.removesuffix("[^/]*") + "[^/.]*"
+    return re.compile("".join([*parts, last]))
 
 
 def _literal(text: str) -> str:

@@ -81,7 +81,7 @@ def bundle_priors(
             lenses.standard_deviations.get(name),
             name in lenses.results,
             depth.biases.get(name),
-            depth_unit_m=info.depth_scale,
+            depth_unit_m=info.depth_step_m,
             bias_is_start=name in depth.walls,
             time_of_flight=info.time_of_flight,
             same_sensor=info.mount is not None,

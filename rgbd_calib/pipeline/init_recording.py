@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,9 +17,10 @@ from rgbd_calib.io.board_files import read_board
 from rgbd_calib.io.calibrations import FoundCalibration, FoundCamera, read_calibration
 from rgbd_calib.io.dataset import CameraInfo, DepthGeometry
 from rgbd_calib.io.depth_files import FARTHEST_M, NO_MEASUREMENT, read_depth_raw
-from rgbd_calib.io.folder_guess import Guess, Stream, guess_layout
+from rgbd_calib.io.folder_guess import Guess, Stream, guess_layout, names_coincide
+from rgbd_calib.io.frame_names import times_us
 from rgbd_calib.io.images import as_bgr, read_image
-from rgbd_calib.io.layout import Kind, walk
+from rgbd_calib.io.layout import Kind, describe_unused, walk
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Progress, silent
 from rgbd_calib.types import Board, BoardView, DepthCamera
@@ -34,6 +36,8 @@ _IMAGES_FOR_BOARD = 12
 _VIEWS_FOR_UNIT = 12
 """Of each camera: 8 views estimate a lens."""
 _MIN_VIEWS_FOR_LENS = 8
+_IMPORTED_DEPTH = (".npz", ".exr")
+_UNREAD_DEPTH = (*_IMPORTED_DEPTH, ".raw", ".bin", ".dat", ".mat", ".pfm", ".hdf5", ".h5")
 
 
 @dataclass(frozen=True)
@@ -95,6 +99,50 @@ def look_at(folder: Path, given: Mapping[Kind, str] | None = None, calibration: 
     return Found(folder, guess, tuple(_calibrations(folder)), boards)
 
 
+def check_frames(found: Found) -> None:
+    """Refuse a folder whose files cannot make frames where they are.
+
+    Raises
+    ------
+    ConfigError
+        Depth in files that only an import reads, or names of files that are times and differ.
+    """
+    folder, guess = found.folder, found.guess
+    new = f"rgbd-calib import {shlex.quote(str(folder))} -o RECORDING"
+    if not guess.streams["depth"]:
+        unread = [p for p in walk(folder) if Path(p).suffix.lower() in _UNREAD_DEPTH and "depth" in p.lower()]
+        if not unread:
+            return
+        seen = describe_unused(unread)
+        if Path(unread[0]).suffix.lower() in _IMPORTED_DEPTH:
+            raise ConfigError(
+                f"{folder}: depth in files that are read where they are expected, {seen} seen. Import: {new}"
+            )
+        raise ConfigError(
+            f"{folder}: depth images expected, {seen} seen: such files state neither size nor type. Write depth as 16-bit PNG or .npy"
+        )
+    for camera, depth in guess.streams["depth"].items():
+        color = guess.streams["color"][camera]
+        if not set(color.files) & set(depth.files):
+            match = "order" if times_us([*color.files, *depth.files]) is None else "timestamp"
+            raise ConfigError(
+                f"{folder}: {camera}: names of depth images that are those of colour images expected, {_names(color)} and "
+                f"{_names(depth)} seen. Join them by {'time' if match == 'timestamp' else 'order'}: {new} --match {match}"
+            )
+
+    streams = [s for of_kind in guess.streams.values() for s in of_kind.values()]
+    if not names_coincide(guess) and times_us([frame for s in streams for frame in s.files]) is not None:
+        seen = "; ".join(f"{name}: {_names(stream)}" for name, stream in list(guess.streams["color"].items())[:3])
+        raise ConfigError(
+            f"{folder}: equal names for images of one instant expected, times that differ seen ({seen}). Join them by time: {new} --match "
+            "timestamp"
+        )
+
+
+def _names(stream: Stream) -> str:
+    return ", ".join(list(stream.files)[:2])
+
+
 def find_board(found: Found, progress: Progress = silent) -> BoardGuess | None:
     """The checkerboard that is seen in some images of the folder."""
     streams = list(found.guess.streams["color"].values())
@@ -123,6 +171,13 @@ def describe(found: Found, answers: Answers, config: Config, progress: Progress 
         depth = found.guess.streams["depth"].get(name)
         if depth is not None:
             info = _with_geometry(info, depth, known, answers.registered)
+            own = info.depth
+            lacks = own is not None and own.intrinsics is None and own.T_color_depth is None
+            if lacks and name not in found.guess.streams["ir"]:
+                remarks.append(
+                    f"{name}: depth is not registered, and no infrared images and no calibration of it were found: calibrate "
+                    "needs one of them (--calibration FILE). If depth lies on colour at another resolution: --registered"
+                )
             info, remark = with_unit(found, name, info, answers, config, progress)
             if info.depth_stated:
                 remarks.append(remark)

@@ -332,7 +332,7 @@ def _wall_samples(
     rows = [(*depth_at(wall.cells, centre), wall.distance_m, wall.sd_m) for wall in walls]
     table = np.array([row for row in rows if np.isfinite(row[0])]).reshape(-1, 4)
     z_m, error_m, z_true_m, sd_m = table.T
-    rounding_m = info.depth_scale / np.sqrt(12)  # of the depth image, the same for all pixels of a square wall
+    rounding_m = info.depth_step_m / np.sqrt(12)  # of the depth image, the same for all pixels of a square wall
     return z_m, z_true_m, np.sqrt(error_m**2 + rounding_m**2 + sd_m**2)
 
 

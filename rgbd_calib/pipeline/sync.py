@@ -64,7 +64,7 @@ def sync(recording: Recording, rig: Rig, detections: Detections, config: Config)
     poses = {c: camera.T_world_color for c, camera in own.items()}
     start = start_of(recording, views, board, lenses, {}, reference, config, poses)
     priors = {
-        c: CameraPrior(lenses[c], None, False, None, "all", depth_unit_m=recording.cameras[c].depth_scale)
+        c: CameraPrior(lenses[c], None, False, None, "all", depth_unit_m=recording.cameras[c].depth_step_m)
         for c in cameras
     }
     params = replace(config.bundle, hold=(*config.bundle.hold, *KNOWN))

@@ -86,7 +86,7 @@ def update_camera(
     T_world_color = {c: camera.T_world_color for c, camera in known.items()}
     T_world_color[name] = _rough_pose(posed, board, T_world_color, name, config)
     placed, left_out = label_views(posed, board, T_world_color, config.association)
-    units = {c: info.depth_scale for c, info in recording.cameras.items()}
+    units = {c: info.depth_step_m for c, info in recording.cameras.items()}
     priors = {c: CameraPrior(lenses[c], None, False, biases.get(c), "all", units[c]) for c in others}
     priors[name] = CameraPrior(
         lenses[name],

@@ -12,9 +12,10 @@ from pathlib import Path
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.calibrations import FoundCamera, read_calibration
-from rgbd_calib.io.folder_guess import Guess, guess_layout
+from rgbd_calib.io.folder_guess import Guess, guess_layout, names_coincide
 from rgbd_calib.io.foreign.pictures import SUFFIXES, read_picture, sniff_picture
-from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stems, Wanted
+from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stamps, Stems, Wanted
+from rgbd_calib.io.frame_names import times_us
 from rgbd_calib.io.images import DEPTH_SUFFIXES as DEPTH_IMAGES
 from rgbd_calib.io.images import SUFFIXES as IMAGES
 from rgbd_calib.io.layout import others, walk
@@ -50,6 +51,10 @@ class PictureFolder(Source):
         if not patterns:  # the guess names the images that it leaves
             taken |= {file for file in files if Path(file).suffix.lower() in (*IMAGES, *DEPTH_IMAGES, *SUFFIXES)}
         left = others(path, taken)
+        self._times = self._times_of_names()
+        self.by_time = bool(self._times) and not names_coincide(self._guess)
+        if self.by_time:
+            remarks.append("names of files are times, which differ from stream to stream: frames are joined by them")
         self.remarks = (*(f"{path}: {remark}" for remark in remarks), *([left] if left else []))
 
     def stems(self) -> Mapping[str, Stems]:
@@ -58,6 +63,20 @@ class PictureFolder(Source):
             name: {kind: list(of_kind[own].files) for kind, of_kind in streams.items() if own in of_kind}
             for own, name in self._names.items()
         }
+
+    def stamps(self) -> Mapping[str, Stamps]:
+        """Where the names of all files are times."""
+        return self._times
+
+    def _times_of_names(self) -> dict[str, Stamps]:
+        out: dict[str, Stamps] = {}
+        for camera, streams in self.stems().items():
+            times = {kind: times_us(names) for kind, names in streams.items()}
+            known = {kind: own for kind, own in times.items() if own is not None}
+            if len(known) < len(times):
+                return {}
+            out[camera] = known
+        return out
 
     def pictures(self, wanted: Wanted) -> Iterator[Picture]:
         for kind, of_kind in self._guess.streams.items():

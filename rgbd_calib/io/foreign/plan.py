@@ -43,7 +43,9 @@ def plan_of(sources: Sequence[Source], match: Match, kinds: Sequence[Kind]) -> P
         A source has no times, or no names, that this match needs.
     """
     stems = [source.stems() for source in sources]
-    by_name = match in ("stem", "order") or (match == "auto" and any(own is not None for own in stems))
+    by_name = match in ("stem", "order") or (
+        match == "auto" and any(own is not None and not s.by_time for own, s in zip(stems, sources, strict=True))
+    )
     if not by_name:
         stamps = {c: _only(own, kinds) for source in sources for c, own in source.stamps().items()}
         for source in sources:

@@ -73,6 +73,8 @@ class Source(ABC):
     """Sources of the same clock have one time; None: a clock of its own."""
     board: Board | None = None
     """The board that it says was filmed."""
+    by_time: bool = False
+    """Its names are times, and few of them coincide: unless another match is asked for, they join as times."""
 
     def stamps(self) -> Mapping[str, Stamps]:
         """Times of all pictures by camera; empty sequences where there are none. Of sources without times: nothing."""
