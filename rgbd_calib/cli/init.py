@@ -88,6 +88,8 @@ def command(
         named_board = _board(find_board(found, progress), asking)
     answers = Answers(named_board, depth_scale, _registered(found, registered, asking))
     told = describe(found, answers, load_config(None), progress)
+    if told.unknown_unit and named_board is not None and named_board.type == "checkerboard":
+        _check_board(folder, named_board, find_board(found, progress))
     if told.unknown_unit:
         answers = replace(answers, depth_scale=_unit(folder, told.unknown_unit, asking))
         told = describe(found, answers, load_config(None), progress)
@@ -117,7 +119,8 @@ def _board(guess: BoardGuess | None, asking: bool) -> Board | None:
     if guess is not None:
         say(f"Board: {guess.cols}x{guess.rows} inner corners in {guess.images} of {guess.looked_at} images")
     if not asking:
-        say("No board is written: its squares are not known. Give --board COLSxROWS --square M")
+        size = f"{guess.cols}x{guess.rows}" if guess else "COLSxROWS"
+        say(f"No board is written: its squares are not known. Give --board {size} --square M")
         return None
     default = f"{guess.cols}x{guess.rows}" if guess else ""
     size = _ask("Board, inner corners COLSxROWS (nothing: none)", default)
@@ -129,6 +132,15 @@ def _board(guess: BoardGuess | None, asking: bool) -> Board | None:
         return None
     thickness = _ask("Printed on both faces: thickness, metres (nothing: one face)", "")
     return parse_board(size, _number(square, "square"), _number(thickness, "thickness") if thickness else None)
+
+
+def _check_board(folder: Path, board: Board, guess: BoardGuess | None) -> None:
+    """Raise ConfigError where images show another board than the one given."""
+    if guess is not None and {guess.cols, guess.rows} != {board.cols, board.rows}:
+        raise ConfigError(
+            f"{folder}: --board {board.cols}x{board.rows} expected in the images, {guess.cols}x{guess.rows} inner corners seen in "
+            f"{guess.images} of {guess.looked_at} images. Give --board {guess.cols}x{guess.rows}"
+        )
 
 
 def _registered(found: Found, registered: bool | None, asking: bool) -> bool | None:

@@ -55,7 +55,8 @@ START = """Where to start:
                          rgbd-calib capture rig1 --board 9x6 --square 0.06
   with a recording       rgbd-calib doctor RECORDING
                          rgbd-calib calibrate RECORDING -o rig.yaml --report report
-  images in a folder     rgbd-calib init FOLDER
+  images in a folder     rgbd-calib init FOLDER --board 9x6 --square 0.06
+  bags, videos           rgbd-calib import FILE -o RECORDING --board 9x6 --square 0.06
 
 All commands: rgbd-calib --help. One of them: rgbd-calib COMMAND --help."""
 

@@ -127,8 +127,12 @@ def parse_board(size: str | None, square_m: float | None, thickness_m: float | N
         raise ConfigError(
             f"--board {size}: COLSxROWS of inner corners needed, such as 9x6, or a .yaml file with the board"
         )
-    if square_m is None or not 0.001 <= square_m <= 1:
-        raise ConfigError(f"--square {square_m}: the side of a square in metres needed, such as 0.06")
+    if square_m is None:
+        raise ConfigError(
+            f"--board {size}: --square M expected beside it: the side of a square as measured, metres. Add it"
+        )
+    if not 0.001 <= square_m <= 1:
+        raise ConfigError(f"--square {square_m:g}: the side of a square in metres needed, such as 0.06")
     if thickness_m is not None and not 0 <= thickness_m <= 0.1:
         raise ConfigError(f"--two-sided {thickness_m}: the board's thickness in metres needed, such as 0.006")
     return Board(int(cols), int(rows), square_m, thickness_m is not None, thickness_m or 0.0)

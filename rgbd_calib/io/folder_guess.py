@@ -40,9 +40,10 @@ _CAMERA_WORDS = (
 _DEPTH_WORDS = ("depth", "dpt", "range", "tof", "z16", "disparity")
 _IR_WORDS = ("ir", "infra", "infrared", "nir", "amplitude")
 _OTHER_WORDS = ("mask", "label", "seg", "normal", "conf", "confidence", "vis", "colormap", "preview", "points", "cloud")
-_ARCHIVES = (".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".xz", ".bz2", ".zst")
+ARCHIVES = (".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".xz", ".bz2", ".zst")
 _IMPORTED = (".mp4", ".m4v", ".avi", ".mov", ".mkv", ".webm", ".bag", ".db3", ".mcap", ".oni", ".npz", ".exr")
 """What `import` reads and `init` does not."""
+_ANY = ("color", "grey 8", "grey 16", "float")
 _ONTO_WORDS = ("to", "2", "into", "onto", "in")
 _REGISTERED_WORDS = ("align", "aligned", "regist", "registered", "warped", "transformed", "reg")
 
@@ -287,7 +288,7 @@ def _assign(root: Path, streams: Sequence[Stream], remarks: Sequence[str]) -> Gu
 def _other_way(root: Path, paths: Sequence[str]) -> str:
     """What to do about a folder of no images, by the suffixes of what is in it; empty where nothing is known."""
     suffixes = {Path(path).suffix.lower(): path for path in paths}
-    packed = next((suffixes[s] for s in _ARCHIVES if s in suffixes), None)
+    packed = next((suffixes[s] for s in ARCHIVES if s in suffixes), None)
     if packed is not None:
         return f"Unpack {packed}, and give the folder that comes out of it"
     if suffixes.keys() & {*_IMPORTED}:
@@ -344,6 +345,14 @@ def _given(root: Path, given: Mapping[Kind, str], look: Callable[[Path], Sniffed
                 looks = look(next(iter(files.values())))
                 if looks is None:
                     raise ConfigError(f"{next(iter(files.values()))}: no image that can be read. Correct --{kind}")
+                fits = looks.pixels in (
+                    ("grey 16", "float") if kind == "depth" else ("color", "grey 8") if kind == "color" else _ANY
+                )
+                if not fits:
+                    needed = "16 bits or floating point" if kind == "depth" else "8 bits a channel"
+                    raise ConfigError(
+                        f"{next(iter(files.values()))}: {needed} expected for --{kind}, {looks.pixels} seen. Correct the pattern"
+                    )
                 text = patterns.by_kind()[kind] or ""
                 streams[kind][camera] = Stream(text.replace(CAMERA, camera), relative, looks)
     return Guess(streams, patterns)

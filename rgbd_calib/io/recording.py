@@ -231,13 +231,17 @@ def open_recording(path: Path) -> Recording:
         No such folder or file, a wrong key, a camera without images, depth that is expected and cannot be read.
     """
     if not path.is_dir():
+        if path.exists():
+            raise ConfigError(
+                f"{path}: a recording (a folder) expected, a file seen. Import it: rgbd-calib import {path} -o RECORDING"
+            )
         raise ConfigError(f"{path}: no such folder. A recording is a folder with dataset.yaml and one folder a camera")
     if not (path / "dataset.yaml").exists():
         inside = [p.parent.name for p in sorted(path.glob("*/dataset.yaml"))]
         hint = (
             f"Did you mean one of {', '.join(str(path / name) for name in inside)}?"
             if inside
-            else "Write one with `rgbd-calib init`"
+            else f"Write one: rgbd-calib init {path}"
         )
         raise ConfigError(f"{path}: no dataset.yaml in it. {hint}")
     data = read_dataset(path / "dataset.yaml")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rgbd_calib.errors import ConfigError
+from rgbd_calib.io.folder_guess import ARCHIVES
 from rgbd_calib.io.foreign.azure import AzureMkv, is_azure
 from rgbd_calib.io.foreign.bag import is_bag, open_bag
 from rgbd_calib.io.foreign.bop import BopScene, is_bop
@@ -56,6 +57,10 @@ def open_source(path: Path, camera: str, options: OpenOptions) -> Source:
         return _open_folder(path, camera)
     if has_videos(path):
         return Videos(path, camera)
+    if path.suffix.lower() in ARCHIVES:
+        raise ConfigError(
+            f"{path}: a folder or a recording expected, an archive seen. Unpack it, and give the folder that comes out of it"
+        )
     raise ConfigError(
         f"{path}: not a recording that can be imported; a folder, .bag, .mcap, .db3, .mkv, .oni or a video needed"
     )

@@ -296,6 +296,9 @@ def with_unit(
             f"squares of {mm * told.raw_per_m / 1000:.1f} mm, {mm:g} mm stated)"
         )
     remark = f"{name}: {told.unit_m:g} m for each unit of depth, by the board's size in {told.views} images"
+    if told.unit_m != 0.001:  # a mistyped square has the same effect
+        mm = 1e6 * answers.board.square_m * 0.001 / told.unit_m / 1000
+        remark += f" (if depth is in millimetres, the squares would be {mm:g} mm: check --square)"
     return replace(info, depth_scale=told.unit_m, depth_stated=True), remark
 
 
