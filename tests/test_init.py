@@ -530,3 +530,33 @@ def test_the_step_of_floating_point_depth_is_no_metre(run, drawn, tmp_path):
         rigs[name] = read_rig(tmp_path / f"{name}.yaml")
     mean_mm = {name: rig.quality["expected_alignment"]["mean_mm"] for name, rig in rigs.items()}
     assert mean_mm["float"] == pytest.approx(mean_mm["integer"], rel=0.05)
+
+
+def test_another_board_than_the_one_seen_is_named(run, drawn, tmp_path):
+    folder = lay_out(drawn, tmp_path / "f", "{camera}/color/{frame}.png", "{camera}/depth/{frame}.png")
+    out = run("init", folder, "--board", "10x7", "--square", "0.06", "--yes")
+    assert out.status == 2 and "--board 10x7 expected in the images, 9x6 inner corners seen in" in out.stderr
+    lacking = run("init", folder, "--board", "9x6", "--yes")
+    assert lacking.status == 2 and "--square M expected beside it" in lacking.stderr
+    assert not (folder / "dataset.yaml").exists()
+
+
+def test_a_square_of_ten_times_is_doubted(run, drawn, tmp_path):
+    folder = lay_out(drawn, tmp_path / "f", "{camera}/color/{frame}.png", "{camera}/depth/{frame}.png")
+    out = run("init", folder, "--board", "9x6", "--square", "0.6", "--yes")
+    assert "if depth is in millimetres, the squares would be 60 mm: check --square" in out.stderr
+
+
+def test_a_pattern_of_depth_is_no_colour(run, drawn, tmp_path):
+    folder = lay_out(drawn, tmp_path / "f", "{camera}/color/{frame}.png", "{camera}/depth/{frame}.png")
+    out = run("init", folder, *BOARD_OPTIONS, "--yes", "--color", "{camera}/depth/{frame}.png")
+    assert out.status == 2 and "8 bits a channel expected for --color, grey 16 seen" in out.stderr
+
+
+def test_a_file_in_place_of_a_recording_is_told_the_way(run, tmp_path):
+    for name, needle in (("a.mkv", "Import it: rgbd-calib import"), ("a.zip", "Import it")):
+        (tmp_path / name).write_bytes(b"x")
+        out = run("calibrate", tmp_path / name, "-o", tmp_path / "x.yaml")
+        assert out.status == 2 and needle in out.stderr
+    packed = run("import", tmp_path / "a.zip", "-o", tmp_path / "r")
+    assert packed.status == 2 and "an archive seen. Unpack it" in packed.stderr
