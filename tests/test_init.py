@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from pathlib import Path
@@ -560,3 +561,12 @@ def test_a_file_in_place_of_a_recording_is_told_the_way(run, tmp_path):
         assert out.status == 2 and needle in out.stderr
     packed = run("import", tmp_path / "a.zip", "-o", tmp_path / "r")
     assert packed.status == 2 and "an archive seen. Unpack it" in packed.stderr
+
+
+def test_what_was_found_and_imported_as_json(run, drawn, tmp_path):
+    folder = lay_out(drawn, tmp_path / "f", "{camera}/color/{frame}.png", "{camera}/depth/{frame}.png")
+    described = json.loads(run("init", folder, *BOARD_OPTIONS, "--yes", "--json").stdout)
+    assert described["images"] == {c: {"color": 10, "depth": 10} for c in ("C1", "C2")}
+    assert described["frames_together"] == 10 and any("0.001 m for each unit" in r for r in described["remarks"])
+    written = json.loads(run("import", folder, "-o", tmp_path / "r", "--json").stdout)
+    assert written["frames"] == 10 and written["images"]["C2"] == {"color": 10, "depth": 10, "ir": 0}

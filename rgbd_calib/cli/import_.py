@@ -11,6 +11,7 @@ import click
 
 from rgbd_calib.cli.options import (
     board_options,
+    json_option,
     output_option,
     overwrite_option,
     progress,
@@ -18,6 +19,7 @@ from rgbd_calib.cli.options import (
     refuse_existing,
     say,
 )
+from rgbd_calib.cli.streams import give
 from rgbd_calib.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -57,6 +59,7 @@ if TYPE_CHECKING:
 @click.option("--color-only", is_flag=True, help="Leave depth and infrared out.")
 @click.option("--yes", is_flag=True, help="Ask nothing.")
 @redist_option
+@json_option
 @overwrite_option
 def command(
     files: tuple[str, ...],
@@ -128,6 +131,16 @@ def command(
     if result.resumed:
         say(f"{result.resumed} images were there from an earlier import")
     say(f"{output}: {result.frames} frames")
+    give(
+        {
+            "recording": str(output),
+            "frames": result.frames,
+            "images": result.counts,
+            "depth_left_out": result.left_out,
+            "resumed": result.resumed,
+            "remarks": [remark for source in sources for remark in source.remarks] + list(result.remarks),
+        }
+    )
 
 
 def _ask(question: str) -> float | None:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rgbd_calib.cli.options import board_options, overwrite_option, progress, say, show
+from rgbd_calib.cli.options import board_options, json_option, overwrite_option, progress, say, show
+from rgbd_calib.cli.streams import give
 from rgbd_calib.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 @click.option("--calibration", type=click.Path(path_type=Path), help="Lenses of the cameras (see import-calibration).")
 @click.option("--yes", is_flag=True, help="Ask nothing.")
 @click.option("--dry-run", is_flag=True, help="Print dataset.yaml, write nothing.")
+@json_option
 @overwrite_option
 def command(
     folder: Path,
@@ -110,6 +112,17 @@ def command(
     for remark in remarks:
         say(f"Warning: {remark}")
     say(f"Wrote {target}. Next: rgbd-calib doctor {folder}")
+    give(
+        {
+            "dataset": str(target),
+            "images": {
+                name: {kind: len(own[name].files) for kind, own in found.guess.streams.items() if name in own}
+                for name in found.guess.cameras
+            },
+            "frames_together": found.together,
+            "remarks": [*found.guess.remarks, *told.remarks, *remarks],
+        }
+    )
 
 
 def _board(guess: BoardGuess | None, asking: bool) -> Board | None:
