@@ -23,7 +23,8 @@ _PATH_HZ, _STEPS_HZ, _TREMOR_HZ = (0.08, 0.45), (1.5, 2.2), (3.0, 6.0)
 _SWEEP_HZ = np.array([[0.12, 0.07, 0.045, 0.10, 0.10, 0.10], [0.15, 0.09, 0.055, 0.20, 0.20, 0.20]])[..., None]
 _SWEEP_RMS = np.array([0.55, 0.38, 0.50, 0.30, 0.30, 0.20])
 """As the guide asks: near and far, tilted, and to the borders of the images, since depth is not known where no board was. One
-sinusoid each, which dwells at its ends: slowly away and back, faster up and down, fastest across. Metres along the board's resting axes (across, down, away), then rad about them."""
+sinusoid each, which dwells at its ends: slowly away and back, faster up and down, fastest across. Metres along the board's
+resting axes (across, down, away), then rad about them."""
 _PATH_RMS_M, _PATH_RMS_RAD = np.array([0.12, 0.10, 0.10]), np.array([0.20, 0.20, 0.20])
 """Of what the hand does about the sweep."""
 _STEPS_RMS = np.array([4e-3, 6e-3, 4e-3, 6e-3, 6e-3, 6e-3])
@@ -89,7 +90,9 @@ def hand_motion(
     ring = span > _RING_SPAN_RAD
     path = np.concatenate([_PATH_RMS_M, _PATH_RMS_RAD])
     path[4] = max(path[4], 0.0 if ring else _SWING_SHARE * span)
-    parts = [_waves(_SWEEP_RMS, _SWEEP_HZ, rng, 1), _waves(path, _PATH_HZ, rng)]
+    amplitude, frequency, _ = _waves(_SWEEP_RMS, _SWEEP_HZ, rng, 1)
+    sweep = amplitude, frequency, np.pi * rng.integers(0, 2, (6, 1))  # from the middle
+    parts = [sweep, _waves(path, _PATH_HZ, rng)]
     n_path = 1 + _N_WAVES
     parts += [_waves(_STEPS_RMS, _STEPS_HZ, rng), _waves(_TREMOR_RMS, _TREMOR_HZ, rng)]
     if kind == "still":
