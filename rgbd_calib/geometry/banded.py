@@ -95,7 +95,7 @@ class BandedEquations(NormalEquations):
             root[:SIZE, :SIZE], root[:SIZE, SIZE:], root[SIZE:, SIZE:] = inverse.T, -(below[k] @ inverse).T @ S, S
             if k < self.n_windows:
                 out[k] = root @ root.T
-            S = np.linalg.qr(root[:n].T, mode="r").T
+            S = np.asarray(np.linalg.qr(root[:n].T, mode="r")).T
         return out
 
     @cached_property

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from rgbd_calib.geometry import se3, so3
@@ -61,7 +62,7 @@ class HandMotion:
     """(6, n)."""
     phases: FloatArray
     """(6, n)."""
-    of_progress: FloatArray
+    of_progress: NDArray[np.bool_]
     """(n,) bool: the wave is a function of the progress, not of time."""
 
     def poses(self, t_s: FloatArray) -> FloatArray:
@@ -111,7 +112,7 @@ def _waves(
     rms: FloatArray, band_hz: tuple[float, float] | FloatArray, rng: np.random.Generator, n: int = _N_WAVES
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Amplitudes, frequencies and phases (6, waves): slower waves are larger."""
-    frequencies = np.sort(rng.uniform(*band_hz, (6, n)), axis=1)
+    frequencies = np.sort(rng.uniform(np.asarray(band_hz[0]), np.asarray(band_hz[1]), (6, n)), axis=1)
     share = 1 / frequencies
     share /= np.linalg.norm(share, axis=1, keepdims=True)
     return np.sqrt(2) * rms[:, None] * share, frequencies, rng.uniform(0, 2 * np.pi, (6, n))

@@ -130,7 +130,8 @@ def _carried_boards(
 ) -> dict[str, FloatArray]:
     """T_room_board (4, 4) by `camera frame`, of a carried board that a camera saw whole, each half second: where the rig can be
     judged. All poses are in true_times.csv."""
-    visible, out, last = CORNER_COLUMNS.index("visible"), {}, -np.inf
+    out: dict[str, FloatArray] = {}
+    visible, last = CORNER_COLUMNS.index("visible"), -np.inf
     carried = [(job, job.carried.t_s) for job in work if job.carried is not None]
     for job, t_s in sorted(carried, key=lambda own: own[1]):
         rows = corners[job.recording, job.camera, job.frame]
