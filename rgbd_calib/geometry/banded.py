@@ -80,10 +80,8 @@ class BandedEquations(NormalEquations):
 
     def _inverse_blocks(self) -> FloatArray:
         L, K, n = self.factor, self.n_knots, BAND - SIZE
-        out, S = (
-            np.zeros((self.n_windows, BAND, BAND)),
-            np.zeros((n, n)),
-        )  # Z of the knots after, zero beyond the last, = S S'
+        out = np.zeros((self.n_windows, BAND, BAND))
+        S = np.zeros((n, n))  # Z = S S' of the knots after, zero beyond the last
         diagonal, below = np.zeros((K, SIZE, SIZE)), np.zeros((K, n, SIZE))
         for column in range(SIZE):
             of_column = L[:, column::SIZE]
