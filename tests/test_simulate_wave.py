@@ -9,8 +9,9 @@ import pytest
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.recording import open_recording
-from rgbd_calib.io.rig import read_rig
+from rgbd_calib.io.rig import read_boards, read_rig
 from rgbd_calib.io.tables import read_table
+from rgbd_calib.pipeline.evaluate import evaluate_truth
 from rgbd_calib.simulation.carried import Carried, render_carried
 from rgbd_calib.simulation.clocks import CameraClock, WaveParams, draw_clocks, expose
 from rgbd_calib.simulation.color_sensor import ColorNoise, develop
@@ -38,6 +39,21 @@ def test_the_motion_is_band_limited_and_has_stops():
     assert spectrum[above].sum() < 1e-4 * spectrum.sum()
     speed = np.convolve(np.linalg.norm(velocity, axis=1), np.ones(15) / 15, "valid")  # over the bounce of steps
     assert speed.min() < 0.12 < 0.3 < np.median(speed) < speed.max() < 1.5
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_board_goes_near_and_far_and_into_the_corners(seed):
+    """As the guide asks of people: within 30 s over 1.3 m of distance and more than half of each image's 8 x 6 cells."""
+    rng = np.random.default_rng(seed)
+    session = film_wave(draw_scene(2, "arc", 0, 0, rng), WaveParams(seconds=30, rate_hz=5), rng)
+    for name, own in session.truth.cameras.items():
+        views = [view for view in session.views if view.camera == name]
+        z = np.concatenate([view.depth_m for view in views])
+        px = np.concatenate([view.corners_px for view in views])
+        K = own.intrinsics
+        cells = np.histogram2d(*px.T, bins=(8, 6), range=((0, K.width), (0, K.height)))[0]
+        assert np.nanmax(z) - np.nanmin(z) > 1.3
+        assert (cells > 0).sum() > cells.size / 2
 
 
 @pytest.mark.parametrize("kind", ["still", "line"])
@@ -134,7 +150,12 @@ def test_command_writes_each_camera_with_its_own_frames_and_clock(run, tmp_path)
     assert not recording.synchronous
     clocks = {c: own.clock for c, own in read_rig(tmp_path / "out" / "truth.yaml").cameras.items()}
     assert isinstance(clocks["C2"], Clock) and clocks["C1"].offset_s == 0.0
-    times = [row for _, row in read_table(tmp_path / "out" / "true_times.csv", ("camera", "frame", "t_s"))]
+    times = [
+        row
+        for _, row in read_table(
+            tmp_path / "out" / "true_times.csv", ("camera", "frame", "t_s", "tx_m", "ty_m", "tz_m")
+        )
+    ]
     for c in ("C1", "C2"):
         stamps = recording.timestamps_us(c)
         assert set(stamps) == set(recording.color_files[c]) == set(recording.depth_files[c])
@@ -143,3 +164,14 @@ def test_command_writes_each_camera_with_its_own_frames_and_clock(run, tmp_path)
         for frame, (color_us, _) in stamps.items():
             t = 1e-6 * color_us + clocks[c].offset_s + 1e-12 * clocks[c].drift_ppm * (color_us - first)
             assert t == pytest.approx(true_s[frame], abs=1e-6)
+    boards, corners = read_boards(tmp_path / "out" / "truth.yaml"), tmp_path / "out" / "true_corners.csv"
+    hidden: dict[str, bool] = {}
+    for _, row in read_table(corners, ("camera", "frame", "visible")):
+        name = f"{row['camera']} {row['frame']}"
+        hidden[name] = hidden.get(name, False) or row["visible"] != "1"
+    assert boards and set(boards) <= {name for name, some in hidden.items() if not some}
+    own = next(row for row in times if f"{row['camera']} {row['frame']}" in boards)
+    place = [float(own[key]) for key in ("tx_m", "ty_m", "tz_m")]
+    np.testing.assert_allclose(boards[f"{own['camera']} {own['frame']}"][:3, 3], place, atol=1e-6)
+    points = evaluate_truth(tmp_path / "out" / "truth.yaml", tmp_path / "out" / "truth.yaml")["all"]
+    assert points["mean_mm"] < 1e-6

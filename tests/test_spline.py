@@ -133,6 +133,32 @@ def test_banded_equations_are_the_dense_ones():
     np.testing.assert_allclose(eq.unit_solved(right), np.stack([solved[own - P] for own in at]), atol=1e-9)
 
 
+@pytest.mark.parametrize("gap", [10, 32, 80])
+@pytest.mark.parametrize("jerk", [1e-2, 1e-4])
+def test_covariance_over_windows_without_a_view(gap, jerk):
+    """The prior alone holds these knots: 80 of 50 ms are 4 s for which no camera sees the board."""
+    rng = np.random.default_rng(0)
+    n = gap + 40
+    V = np.zeros((n, BAND, BAND))
+    third = np.kron([-1.0, 3.0, -3.0, 1.0], np.eye(SIZE)) / jerk
+    V += third.T @ third
+    for w in (*range(20), *range(n - 20, n)):
+        J = rng.normal(0, 300.0, (12, BAND))
+        V[w] += J.T @ J
+    pattern = Pattern.of([(0,)] * n, {(0,): np.arange(1)}, 1, BAND)
+    eq = BandedEquations(
+        pattern, np.eye(1), (np.zeros((n, 1, BAND)),), V, np.zeros(1), np.zeros((n, BAND)), np.zeros(1), n
+    )
+    A, _, at = dense(eq)
+    C = np.linalg.inv(A)
+    sd = np.sqrt(np.diag(C))
+    left = np.stack(
+        [(block - C[np.ix_(own, own)]) / np.outer(sd[own], sd[own]) for block, own in zip(eq.V_inv, at, strict=True)]
+    )
+    # rounding times the condition number, some 1e10 at most
+    assert np.abs(left).max() < np.finfo(float).eps * np.linalg.cond(A)
+
+
 def test_damping_is_that_of_the_knots():
     eq = random_equations()
     A, b, _ = dense(eq)

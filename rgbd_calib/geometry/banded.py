@@ -9,7 +9,8 @@ What :mod:`.linear` needs of it is, window by window, the window's own block of 
 hold because W and A are sums over windows too, so that elimination, covariance and traces are those of :mod:`.linear`, given
 V_inv and WV in this sense. The blocks of V^-1 inside the band come from L alone (K. Takahashi, J. Fagan, M.-S. Chin, 1973):
 with B = L_{after, j} L_jj^-1 the knots after j within the band, Z_{after, j} = -Z_{after, after} B and
-Z_jj = (L_jj L_jj')^-1 - B' Z_{after, j}.
+Z_jj = (L_jj L_jj')^-1 - B' Z_{after, j}. Z is carried as a square root, Z = S S', since rounding makes Z itself indefinite, and the
+recursion overflow, over seconds without a view, where the prior of the motion alone holds the knots.
 
 Units after the windows are as ever, each by itself.
 """
@@ -79,7 +80,8 @@ class BandedEquations(NormalEquations):
 
     def _inverse_blocks(self) -> FloatArray:
         L, K, n = self.factor, self.n_knots, BAND - SIZE
-        out, Z = np.zeros((self.n_windows, BAND, BAND)), np.zeros((n, n))  # Z of the knots after, zero beyond the last
+        out = np.zeros((self.n_windows, BAND, BAND))
+        S = np.zeros((n, n))  # Z = S S' of the knots after, zero beyond the last
         diagonal, below = np.zeros((K, SIZE, SIZE)), np.zeros((K, n, SIZE))
         for column in range(SIZE):
             of_column = L[:, column::SIZE]
@@ -87,13 +89,11 @@ class BandedEquations(NormalEquations):
             below[:, :, column] = of_column[SIZE - column : BAND - column].T
         for k in range(K - 1, -1, -1):
             inverse = solve_triangular(diagonal[k], np.eye(SIZE), lower=True)
-            B = below[k] @ inverse
-            cross = -Z @ B
-            own = inverse.T @ inverse - B.T @ cross
-            whole = np.block([[own, cross.T], [cross, Z]])
+            root = np.zeros((BAND, BAND))
+            root[:SIZE, :SIZE], root[:SIZE, SIZE:], root[SIZE:, SIZE:] = inverse.T, -(below[k] @ inverse).T @ S, S
             if k < self.n_windows:
-                out[k] = whole
-            Z = whole[:n, :n]
+                out[k] = root @ root.T
+            S = np.asarray(np.linalg.qr(root[:n].T, mode="r")).T
         return out
 
     @cached_property

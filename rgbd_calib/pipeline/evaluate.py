@@ -163,9 +163,10 @@ def against_views(rig: Rig, placed: Sequence[PlacedView], board: Board) -> Evalu
 
 @one_blas_thread
 def evaluate_truth(rig: Path, truth: Path) -> dict[str, Any]:
-    """Summary of a rig file against a simulation's truth.yaml; the board is that of the recording beside it."""
-    beside = truth.parent / "extrinsic"
-    board = open_recording(beside).board if beside.is_dir() else None
+    """Summary of a rig file against a simulation's truth.yaml; the board is that of the recording beside it, of still frames or
+    of a carried board."""
+    beside = [path for name in ("extrinsic", "wave") if (path := truth.parent / name).is_dir()]
+    board = open_recording(beside[0]).board if beside else None
     return against_truth(read_rig(rig), read_rig(truth), read_boards(truth), board).summary()
 
 

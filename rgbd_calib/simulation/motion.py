@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from rgbd_calib.geometry import se3, so3
@@ -20,8 +21,13 @@ from rgbd_calib.types import Board
 MotionKind = Literal["hand", "still", "line"]
 
 _PATH_HZ, _STEPS_HZ, _TREMOR_HZ = (0.08, 0.45), (1.5, 2.2), (3.0, 6.0)
-_PATH_RMS_M, _PATH_RMS_RAD = np.array([0.28, 0.16, 0.24]), np.array([0.22, 0.24, 0.25])
-"""Of the middle along the board's resting axes (across, down, away) and of the angles about them."""
+_SWEEP_HZ = np.array([[0.12, 0.07, 0.045, 0.10, 0.10, 0.10], [0.15, 0.09, 0.055, 0.20, 0.20, 0.20]])[..., None]
+_SWEEP_RMS = np.array([0.55, 0.38, 0.50, 0.30, 0.30, 0.20])
+"""As the guide asks: near and far, tilted, and to the borders of the images, since depth is not known where no board was. One
+sinusoid each, which dwells at its ends: slowly away and back, faster up and down, fastest across. Metres along the board's
+resting axes (across, down, away), then rad about them."""
+_PATH_RMS_M, _PATH_RMS_RAD = np.array([0.12, 0.10, 0.10]), np.array([0.20, 0.20, 0.20])
+"""Of what the hand does about the sweep."""
 _STEPS_RMS = np.array([4e-3, 6e-3, 4e-3, 6e-3, 6e-3, 6e-3])
 _TREMOR_RMS = np.array([3e-4, 3e-4, 3e-4, 1.5e-3, 1.5e-3, 1.5e-3])
 """Metres, then rad."""
@@ -56,7 +62,7 @@ class HandMotion:
     """(6, n)."""
     phases: FloatArray
     """(6, n)."""
-    of_progress: FloatArray
+    of_progress: NDArray[np.bool_]
     """(n,) bool: the wave is a function of the progress, not of time."""
 
     def poses(self, t_s: FloatArray) -> FloatArray:
@@ -85,13 +91,17 @@ def hand_motion(
     ring = span > _RING_SPAN_RAD
     path = np.concatenate([_PATH_RMS_M, _PATH_RMS_RAD])
     path[4] = max(path[4], 0.0 if ring else _SWING_SHARE * span)
-    parts = [_waves(path, _PATH_HZ, rng), _waves(_STEPS_RMS, _STEPS_HZ, rng), _waves(_TREMOR_RMS, _TREMOR_HZ, rng)]
+    amplitude, frequency, _ = _waves(_SWEEP_RMS, _SWEEP_HZ, rng, 1)
+    sweep = amplitude, frequency, np.pi * rng.integers(0, 2, (6, 1))  # from the middle
+    parts = [sweep, _waves(path, _PATH_HZ, rng)]
+    n_path = 1 + _N_WAVES
+    parts += [_waves(_STEPS_RMS, _STEPS_HZ, rng), _waves(_TREMOR_RMS, _TREMOR_HZ, rng)]
     if kind == "still":
         parts = [_waves(np.zeros(6), _PATH_HZ, rng)]
     if kind == "line":
         parts = [_waves(np.array([_LINE_RMS_M, 0, 0, 0, 0, 0]), _LINE_HZ, rng)]
     amplitudes, frequencies, phases = (np.concatenate([p[k] for p in parts], axis=1) for k in range(3))
-    of_progress = np.repeat(np.arange(len(parts)) == 0, _N_WAVES)
+    of_progress = np.arange(amplitudes.shape[1]) < n_path
     yaw_rate = 2 * np.pi / _TURN_S if ring and kind == "hand" else 0.0
     middle = board.corners_m().mean(axis=0) * [1, 1, 0]
     progress = _progress(seconds, rng)
@@ -99,13 +109,13 @@ def hand_motion(
 
 
 def _waves(
-    rms: FloatArray, band_hz: tuple[float, float], rng: np.random.Generator
+    rms: FloatArray, band_hz: tuple[float, float] | FloatArray, rng: np.random.Generator, n: int = _N_WAVES
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Amplitudes, frequencies and phases (6, waves): slower waves are larger."""
-    frequencies = np.sort(rng.uniform(*band_hz, (6, _N_WAVES)), axis=1)
+    frequencies = np.sort(rng.uniform(np.asarray(band_hz[0]), np.asarray(band_hz[1]), (6, n)), axis=1)
     share = 1 / frequencies
     share /= np.linalg.norm(share, axis=1, keepdims=True)
-    return np.sqrt(2) * rms[:, None] * share, frequencies, rng.uniform(0, 2 * np.pi, (6, _N_WAVES))
+    return np.sqrt(2) * rms[:, None] * share, frequencies, rng.uniform(0, 2 * np.pi, (6, n))
 
 
 def _progress(seconds: float, rng: np.random.Generator) -> CubicSpline:

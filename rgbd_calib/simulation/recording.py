@@ -10,8 +10,11 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from rgbd_calib.geometry import so3
 from rgbd_calib.geometry.blas import one_blas_thread
+from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io import recording as files
 from rgbd_calib.io.processes import context
 from rgbd_calib.io.schema_parts import DepthCameraModel
@@ -34,6 +37,8 @@ CORNER_COLUMNS = (
 )  # fmt: skip
 TIME_COLUMNS = ("camera", "frame", "t_s", "depth_t_s", "qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 """True times, and T_world_board at the first."""
+BOARDS_EVERY_S = 0.5
+"""Between the poses of a carried board in truth.yaml: as in a rig file."""
 
 
 @one_blas_thread
@@ -65,7 +70,8 @@ def simulate(folder: Path, params: SimulationParams, jobs: int, progress: Progre
     walls = {c: {j.frame: j.wall for j in work if j.wall is not None and j.camera == c} for c in truth.cameras}
     warm = {j.frame: j.warm for j in sorted(work, key=lambda j: j.frame)}
     clocks = _write_times(folder, params, truth, work) if params.wave is not None else {}
-    write_truth(folder / "truth.yaml", truth, made, walls, warm, shared | close, provenance(params), clocks)
+    boards = shared | close | _carried_boards(work, corners)
+    write_truth(folder / "truth.yaml", truth, made, walls, warm, boards, provenance(params), clocks)
     return {
         name: len({j.frame for j in work if j.recording == name}) for name in dict.fromkeys(j.recording for j in work)
     }
@@ -117,6 +123,22 @@ def _write_datasets(folder: Path, params: SimulationParams, truth: TrueRig, work
         if rows:
             columns = ("frame", "distance_m", "sd_m")[: len(rows[0])]
             files.write_table(folder / "depth_bias" / c / "distances.csv", columns, rows)
+
+
+def _carried_boards(
+    work: Iterable[Job], corners: Mapping[tuple[str, str, str], list[tuple[Any, ...]]]
+) -> dict[str, FloatArray]:
+    """T_room_board (4, 4) by `camera frame`, of a carried board that a camera saw whole, each half second: where the rig can be
+    judged. All poses are in true_times.csv."""
+    out: dict[str, FloatArray] = {}
+    visible, last = CORNER_COLUMNS.index("visible"), -np.inf
+    carried = [(job, job.carried.t_s) for job in work if job.carried is not None]
+    for job, t_s in sorted(carried, key=lambda own: own[1]):
+        rows = corners[job.recording, job.camera, job.frame]
+        if t_s - last >= BOARDS_EVERY_S and rows and all(row[visible] for row in rows):
+            assert job.T_room_board is not None
+            out[f"{job.camera} {job.frame}"], last = job.T_room_board, t_s
+    return out
 
 
 def _write_times(folder: Path, params: SimulationParams, truth: TrueRig, work: list[Job]) -> dict[str, Clock]:
