@@ -290,7 +290,7 @@ def test_numbers_of_residuals_by_hand():
     assert views["C1", "000000"].rms_depth_m == pytest.approx(0.002)
     assert not views["C2", "000000"].used_pixel and not views["C1", "C1 alone: 000001"].used_depth
     assert [v.frame for v in numbers.by_view(left)][-1] == "C1 alone: 000001"  # after the rig's own frames
-    row = numbers.camera_table(left, {"C1": {}, "C2": {}})
+    row = numbers.camera_table(left, ["C1", "C2"])
     assert (row[0]["views"], row[0]["corners"], row[0]["depths"]) == (2, 2, 1)
     assert (row[1]["corners_left_out"], row[1]["depths_left_out"]) == (1, 1)
 

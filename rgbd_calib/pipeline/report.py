@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,10 @@ from rgbd_calib.io.text import valid
 from rgbd_calib.pipeline import fuse
 from rgbd_calib.pipeline.depth_cameras import name_of
 from rgbd_calib.pipeline.rig_inputs import common_cameras
+from rgbd_calib.pipeline.view_pictures import view_pictures
 from rgbd_calib.report import splat
 from rgbd_calib.report.page import Contents, Picture, render
+from rgbd_calib.report.scene import MovedCloud
 from rgbd_calib.types import Board, DepthCamera, Rig, RigCamera
 
 VIEWS = {"oblique": "from the side", "top": "from above"}
@@ -35,6 +38,8 @@ _MARGIN = 0.15  # of the box that several cameras see
 _BEYOND = 1.15  # how much farther than the farthest board a cloud is shown: beyond it nothing was calibrated
 _SLAB_M = 0.08  # half the thickness of what is shown of a board edge on
 _BAR_M = 0.02
+POINTS = 16_000
+"""Of all clouds together in the 3D view."""
 
 
 def report_of_file(path: Path, recording: Path | None, depth_bias: Path | None, folder: Path) -> Path:
@@ -65,10 +70,8 @@ def report_of_file(path: Path, recording: Path | None, depth_bias: Path | None, 
         opened = open_recording(named)
     else:
         opened = None
-        missing["clouds"] = (
-            f"The clouds are not shown: the recording {named or ''} is not there. Say where it is: "
-            f"`rgbd-calib report {path} --recording DIR -o {folder}`."
-        )
+        where = f"the recording {named or ''} is not there. Say where it is: `rgbd-calib report {path} --recording DIR -o {folder}`."
+        missing |= {"clouds": f"The clouds are not shown: {where}", "images": f"The images are not shown: {where}"}
     boards = read_boards(path)
     try:
         return write_report(folder, path.name, rig, boards, left, opened, missing)
@@ -91,16 +94,29 @@ def write_report(
     missing: Mapping[str, str] | None = None,
 ) -> Path:
     """Write folder/index.html; returns its path."""
-    pictures: tuple[Picture, ...] = ()
-    note, missing = "", dict(missing or {})
+    contents = Contents(title, rig, boards, residuals, missing=missing or {}, start=_start(rig))
     if recording is not None:
         try:
-            pictures, note = _pictures(recording, rig, boards)
+            contents = _with_clouds(contents, recording)
         except RgbdCalibError as error:
-            missing["clouds"] = f"The clouds are not shown: {error}."
+            contents = _without(contents, "clouds", f"The clouds are not shown: {error}.")
+    if recording is not None and residuals is not None:
+        try:
+            contents = replace(contents, views=view_pictures(recording, rig, boards, residuals))
+        except RgbdCalibError as error:
+            contents = _without(contents, "images", f"The images are not shown: {error}.")
     path = folder / "index.html"
-    write_text(path, valid(render(Contents(title, rig, boards, residuals, pictures, note, missing))))
+    write_text(path, valid(render(contents)))
     return path
+
+
+def _without(contents: Contents, section: str, why: str) -> Contents:
+    return replace(contents, missing={**contents.missing, section: why})
+
+
+def _start(rig: Rig) -> Rig | None:
+    """The rig before, where the file says what it was."""
+    return before(rig) if rig.quality.get("start", {}).get("cameras") else None
 
 
 def before(rig: Rig) -> Rig:
@@ -128,21 +144,43 @@ def _lens(entry: Mapping[str, Any]) -> Intrinsics:
     return Intrinsics(**{**entry["intrinsics"], "distortion": tuple(entry["intrinsics"]["distortion"])})
 
 
-def _pictures(recording: Recording, rig: Rig, boards: Mapping[str, FloatArray]) -> tuple[tuple[Picture, ...], str]:
-    frame = _frame(recording, rig, boards)
+def _with_clouds(contents: Contents, recording: Recording) -> Contents:
+    rig, boards = contents.rig, contents.boards
+    frame, first = _frame(recording, rig, boards), before(rig)
     params = fuse.FuseParams(max_depth_m=_farthest_m(rig, boards))
-    clouds = tuple(fuse.clouds_of(recording, one, frame, params) for one in (before(rig), rig))
+    clouds = tuple(fuse.clouds_of(recording, one, frame, params) for one in (first, rig))
     board = board_in(rig.quality)
     pictures = [_edge_on(clouds, rig, board, boards[frame])] if frame in boards and board is not None else []
     focus_m = splat.seen_by_several([cloud.points_m for cloud in clouds[1]])
     pictures += [_part(clouds, rig, view, focus_m) for view in VIEWS]
     how = rig.quality.get("start", {}).get("poses_from")
-    note = f"Frame {frame}. " + (
+    note = f"Depth is that of frame {frame}. " + (
         f"Before: poses by the {how}, intrinsics as given, depth as reported. After: the calibrated rig."
         if how
         else "Before: depth as reported. After: depth corrected. The rig file does not say from which poses it started."
     )
-    return tuple(pictures), note
+    moved = _moved_clouds(recording, first, rig, frame, params)
+    return replace(contents, pictures=tuple(pictures), cloud_note=note, clouds=moved)
+
+
+def _moved_clouds(
+    recording: Recording, first: Rig, rig: Rig, frame: str, params: fuse.FuseParams
+) -> tuple[MovedCloud, ...]:
+    """Some pixels of each camera's depth, the same ones by both rigs."""
+    names = [name for name in common_cameras(recording, rig) if recording.has_depth(name, frame)]
+    out = []
+    for name in names:
+        depth_m = recording.depth_own_m(name, frame)
+        points = [
+            se3.transform(one.cameras[name].T_world_color, p := one.cameras[name].depth_image.points(depth_m))
+            for one in (first, rig)
+        ]
+        kept = np.isfinite(depth_m) & ~fuse.on_jump(depth_m, params.jump) & (p[..., 2] <= params.max_depth_m)
+        kept &= np.all(np.isfinite(points), axis=(0, -1))
+        chosen = np.flatnonzero(kept)
+        chosen = chosen[:: max(1, len(chosen) * len(names) // POINTS)]
+        out.append(MovedCloud(name, *(p.reshape(-1, 3)[chosen] for p in points)))
+    return tuple(out)
 
 
 def _frame(recording: Recording, rig: Rig, boards: Mapping[str, FloatArray]) -> str:

@@ -113,7 +113,7 @@ def numbers_of(rig: Rig, verdict: Verdict, truth: dict[str, Any] | None) -> dict
 
 
 def _rows(rig: Rig, residuals: Residuals | None) -> list[str]:
-    table = camera_table(residuals, {name: {} for name in rig.cameras}) if residuals is not None else []
+    table = camera_table(residuals, list(rig.cameras)) if residuals is not None else []
     seen = {row["camera"]: row for row in table}
     out = []
     for name, own in rig.cameras.items():

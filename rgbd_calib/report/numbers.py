@@ -1,8 +1,8 @@
-"""Residuals in groups: by camera, by view, over the image, over distance."""
+"""Residuals in groups: by camera, by view, over the image; coverage and verdict from them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,18 +14,42 @@ from rgbd_calib.io.residuals import Residuals
 from rgbd_calib.io.rig import board_in
 from rgbd_calib.trust.verdict import Verdict, judge, limits_in
 from rgbd_calib.types import Board, BoardView, Rig
-from rgbd_calib.views.coverage import Coverage, CoverageParams, measure_coverage
+from rgbd_calib.views.coverage import Coverage, CoverageParams, PlacedView, place_view, summarize_coverage
 
 CELLS = (8, 6)
 """Columns and rows of the cells of an image."""
-BINS = 8
 MIN_IN_CELL = 3
+DEPTH = "/depth"
+"""After a camera's name: its depth camera, where that has a geometry of its own, in the table of residuals."""
 
 
 def rms(values: FloatArray) -> float:
     """Root mean square of what is finite, NaN where nothing is."""
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A camera of the table of residuals: a colour camera, or the depth camera beside it."""
+
+    name: str
+    camera: str
+    """Of the rig."""
+    intrinsics: Intrinsics
+    T_world_sensor: FloatArray
+    """(4, 4)."""
+
+
+def sensors_of(rig: Rig, r: Residuals | None) -> list[Sensor]:
+    """The rig's cameras, and then the depth cameras that have residuals of their own."""
+    out = [Sensor(name, name, own.intrinsics, own.T_world_color) for name, own in rig.cameras.items()]
+    there = set() if r is None else set(r.camera.tolist())
+    for name, own in rig.cameras.items():
+        if own.depth_camera is not None and name + DEPTH in there:
+            T = own.T_world_color @ own.depth_camera.T_color_depth
+            out.append(Sensor(name + DEPTH, name, own.depth_camera.intrinsics, T))
+    return out
 
 
 @dataclass(frozen=True)
@@ -94,69 +118,45 @@ def over_image(r: Residuals, width: int, height: int) -> Cells:
     )
 
 
-@dataclass(frozen=True)
-class DistanceBins:
-    """One camera's residuals by measured depth."""
-
-    depth_m: FloatArray
-    """Middles of the bins that hold something."""
-    rms_px: FloatArray
-    mean_depth_m: FloatArray
-    sd_depth_m: FloatArray
-
-
-def over_distance(r: Residuals) -> DistanceBins:
-    """Residuals of one camera in bins of depth, of what was used."""
-    depth = r.used_depth & np.isfinite(r.residual_depth_m)
-    if not depth.any():
-        return DistanceBins(*np.empty((4, 0)))
-    wanted = float(np.ptp(r.depth_m[depth])) / BINS
-    width_m = next((step for step in (0.05, 0.1, 0.25, 0.5) if step >= wanted), 1.0)
-    bins = np.floor(r.depth_m / width_m)
-    rows = []
-    for b in np.unique(bins[depth]):
-        mine = depth & (bins == b)
-        if mine.sum() >= MIN_IN_CELL:
-            z = r.residual_depth_m[mine]
-            rows.append(((b + 0.5) * width_m, rms(r.residual_px[mine & r.used_pixel]), z.mean(), z.std()))
-    return DistanceBins(*np.array(rows, float).reshape(-1, 4).T)
-
-
-def coverage_of(r: Residuals, board: Board, intrinsics: Mapping[str, Intrinsics], judge_cameras: bool) -> Coverage:
-    """Coverage by the views that were used; depth cameras go with their colour cameras."""
-    views = []
-    r = r.select(np.isin(r.camera, list(intrinsics)))
-    keys = np.char.add(np.char.add(r.camera, "\t"), r.frame)
-    for key in np.unique(keys[r.used_pixel]):
-        own = r.select((keys == key) & r.used_pixel)
-        views.append(
-            BoardView(
-                str(own.camera[0]),
-                str(own.frame[0]),
-                own.feature.astype(int),
-                own.pixels_px,
-                own.depth_m,
-                np.isfinite(own.depth_m).astype(int),
-            )
-        )
+def placed_views(r: Residuals, board: Board, intrinsics: Mapping[str, Intrinsics]) -> list[PlacedView]:
+    """Where each view that was used has the board; of the cameras in `intrinsics`."""
     sizes = {name: (own.width, own.height) for name, own in intrinsics.items()}
-    params = CoverageParams(judge_cameras=judge_cameras)
-    return measure_coverage(views, board, sizes, dict(intrinsics), params)
+    out = []
+    beside = np.char.endswith(r.camera, DEPTH)  # its corners may be predicted, where only depth is used
+    r = r.select(np.isin(r.camera, list(intrinsics)) & (r.used_pixel | (beside & r.used_depth)))
+    order = np.lexsort([r.frame, r.camera])
+    keys = np.char.add(np.char.add(r.camera, "\t"), r.frame)[order]
+    starts = np.flatnonzero(np.append(True, keys[1:] != keys[:-1])) if len(keys) else np.empty(0, int)
+    for rows in np.split(order, starts[1:]) if len(keys) else []:
+        own = r.select(rows)
+        name, ids = str(own.camera[0]), own.feature.astype(int)
+        depth = np.isfinite(own.depth_m).astype(int)
+        view = BoardView(name, str(own.frame[0]), ids, own.pixels_px, own.depth_m, depth)
+        out.append(place_view(view, board, sizes[name], intrinsics[name]))
+    return out
 
 
-def coverage_of_rig(rig: Rig, residuals: Residuals | None) -> Coverage | None:
-    """Coverage by the views that a rig was calibrated from; None where they, or the board, are not known."""
+def coverage_of_rig(rig: Rig, placed: Sequence[PlacedView]) -> Coverage:
+    """Coverage by the views that a rig was calibrated from; depth cameras go with their colour cameras."""
+    judge_cameras = "own views" in str(rig.provenance.get("intrinsics", ""))
+    mine = [view for view in placed if view.camera in rig.cameras]
+    return summarize_coverage(mine, tuple(rig.cameras), CoverageParams(judge_cameras=judge_cameras))
+
+
+def placed_views_of_rig(rig: Rig, residuals: Residuals | None) -> list[PlacedView] | None:
+    """None where the views, or the board, are not known."""
     board = board_in(rig.quality)
     if residuals is None or board is None:
         return None
-    lenses = {name: own.intrinsics for name, own in rig.cameras.items()}
-    return coverage_of(residuals, board, lenses, "own views" in str(rig.provenance.get("intrinsics", "")))
+    lenses = {own.name: own.intrinsics for own in sensors_of(rig, residuals)}
+    return placed_views(residuals, board, lenses)
 
 
 def verdict_of(rig: Rig, residuals: Residuals | None) -> Verdict:
     """Whether to trust a rig: the same in the terminal, in Python and in the report."""
-    coverage = coverage_of_rig(rig, residuals)
-    return judge(rig.quality, coverage.missing if coverage else (), depth_noise_mm(rig), limits_in(rig.provenance))
+    placed = placed_views_of_rig(rig, residuals)
+    missing = coverage_of_rig(rig, placed).missing if placed is not None else ()
+    return judge(rig.quality, missing, depth_noise_mm(rig), limits_in(rig.provenance))
 
 
 def depth_noise_mm(rig: Rig) -> float | None:
@@ -165,10 +165,10 @@ def depth_noise_mm(rig: Rig) -> float | None:
     return 1e3 * float(np.sqrt(np.mean(np.square(left)))) if left else None
 
 
-def camera_table(r: Residuals, statistics: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+def camera_table(r: Residuals, names: Sequence[str]) -> list[dict[str, Any]]:
     """One row for each camera: counts and RMS of what was used."""
     rows = []
-    for name in statistics:
+    for name in names:
         own = r.of(name)
         views = {str(f) for f in own.frame[own.used_pixel]}
         rows.append(

@@ -1,49 +1,87 @@
-"""The rig in 3D for the report: frusta, boards, and the working volume coloured by its expected error."""
+"""The rig in 3D for the report: frusta, boards, clouds, and the working volume coloured by its expected error.
+
+What moves with the slider from before to after has, in its trace's `meta`, where it was before.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from rgbd_calib.geometry import camera as lens
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.report.figures import Figure, css_color, plain
-from rgbd_calib.types import Board, Rig
+from rgbd_calib.report.plots import Figure, css_color, plain
+from rgbd_calib.types import Board, Rig, RigCamera
 
 _FRUSTUM_SHARE = 0.1  # depth of a frustum, as share of the rig's extent
 
 
+@dataclass(frozen=True)
+class MovedCloud:
+    """Pixels of one camera's depth image as points in the world, by the rig before and after; (n, 3), metres."""
+
+    camera: str
+    before_m: FloatArray
+    after_m: FloatArray
+
+
 def scene(
-    rig: Rig, boards: Mapping[str, FloatArray], board: Board | None, grid_m: FloatArray, error_mm: FloatArray
+    rig: Rig,
+    boards: Mapping[str, FloatArray],
+    board: Board | None,
+    grid_m: FloatArray,
+    error_mm: FloatArray,
+    start: Rig | None = None,
+    clouds: Sequence[MovedCloud] = (),
 ) -> Figure:
-    """Cameras, boards (T_world_board by frame) and points (n, 3), metres, in the world with their error (n,), mm."""
+    """Cameras, boards (T_world_board by frame), points (n, 3), metres, in the world with their error (n,), mm, and clouds.
+
+    `start` is the rig before; None: only one is shown.
+    """
     centers = np.array([own.T_world_color[:3, 3] for own in rig.cameras.values()])
     corners = [_outline(T, board) for T in boards.values()] if board is not None else []
     everything = np.concatenate([centers, *corners, grid_m])
-    size = float(np.max(np.ptp(everything, axis=0))) or 1.0
+    size_m = _FRUSTUM_SHARE * (float(np.max(np.ptp(everything, axis=0))) or 1.0)
     traces = []
     if len(grid_m):
-        traces.append(_volume(grid_m, error_mm))
+        traces.append(_volume(grid_m, error_mm, hidden=bool(clouds)))
     if corners:
         traces.append(_lines("boards", np.concatenate([_broken(c) for c in corners]), "#8a8a8a", 2))
     for i, (name, own) in enumerate(rig.cameras.items()):
-        traces += _frustum(name, own.T_world_color, own.intrinsics, _FRUSTUM_SHARE * size, css_color(i))
+        first = start.cameras[name] if start is not None and name in start.cameras else None
+        traces += _frustum(name, own, first, size_m, css_color(i))
+    numbers = {name: i for i, name in enumerate(rig.cameras)}
+    traces += [_cloud(cloud, css_color(numbers[cloud.camera])) for cloud in clouds]
     return {"data": traces, "layout": _layout(rig)}
 
 
-def _volume(grid_m: FloatArray, error_mm: FloatArray) -> dict[str, Any]:
+def _cloud(cloud: MovedCloud, color: str) -> dict[str, Any]:
+    return {
+        "type": "scatter3d",
+        "mode": "markers",
+        "name": f"{cloud.camera}, depth",
+        **_xyz(cloud.after_m, 3),
+        "meta": {"before": _xyz(cloud.before_m, 3)},
+        "marker": {"size": 1.6, "color": color, "opacity": 0.8},
+        "hoverinfo": "name",
+    }
+
+
+def _xyz(points_m: FloatArray, digits: int) -> dict[str, Any]:
+    return dict(zip("xyz", (plain(v) for v in np.round(points_m, digits).T), strict=True))
+
+
+def _volume(grid_m: FloatArray, error_mm: FloatArray, hidden: bool) -> dict[str, Any]:
     top = float(np.percentile(error_mm, 98))
-    x, y, z = np.round(grid_m, 3).T
     return {
         "type": "scatter3d",
         "mode": "markers",
         "name": "expected error",
-        "x": plain(x),
-        "y": plain(y),
-        "z": plain(z),
+        "visible": "legendonly" if hidden else True,
+        **_xyz(grid_m, 3),
         "text": [f"{e:.2f} mm" for e in error_mm],
         "hovertemplate": "expected error %{text}<extra></extra>",
         "marker": {
@@ -64,21 +102,12 @@ def _volume(grid_m: FloatArray, error_mm: FloatArray) -> dict[str, Any]:
     }
 
 
-def _frustum(name: str, T: FloatArray, own: lens.Intrinsics, depth_m: float, color: str) -> list[dict[str, Any]]:
-    w, h = own.width - 1.0, own.height - 1.0
-    rays = own.rays(np.array([[0, 0], [w, 0], [w, h], [0, h]]))
-    if not np.isfinite(rays).all():  # the lens model has no ray at a corner of the image
-        pixels = np.array([[0, 0], [w, 0], [w, h], [0, h]])
-        rays = np.column_stack([(pixels - [own.cx, own.cy]) / [own.fx, own.fy], np.ones(4)])
-    a, b, c, d = se3.transform(T, depth_m * rays)
-    o, behind = T[:3, 3], se3.transform(T, np.array([0, 0, -0.6 * depth_m]))
-    path = np.stack([o, a, b, o, c, d, o, a, d, o, b, c])
+def _frustum(name: str, own: RigCamera, start: RigCamera | None, depth_m: float, color: str) -> list[dict[str, Any]]:
+    path, behind = _pyramid(own, depth_m)
     label = {
         "type": "scatter3d",
         "mode": "text",
-        "x": [float(behind[0])],
-        "y": [float(behind[1])],
-        "z": [float(behind[2])],
+        **_xyz(behind[None], 4),
         "text": [name],
         "textposition": "middle center",
         "textfont": {"color": color, "size": 15},
@@ -86,18 +115,32 @@ def _frustum(name: str, T: FloatArray, own: lens.Intrinsics, depth_m: float, col
         "showlegend": False,
         "legendgroup": name,
     }
-    return [_lines(name, path, color, 5) | {"legendgroup": name}, label]
+    lines = _lines(name, path, color, 5) | {"legendgroup": name}
+    if start is not None:
+        first, first_behind = _pyramid(start, depth_m)
+        lines["meta"], label["meta"] = {"before": _xyz(first, 4)}, {"before": _xyz(first_behind[None], 4)}
+    return [lines, label]
+
+
+def _pyramid(camera: RigCamera, depth_m: float) -> tuple[FloatArray, FloatArray]:
+    """Its edges as one path (12, 3), metres, in the world, and a place (3,) behind it for the name."""
+    own, T = camera.intrinsics, camera.T_world_color
+    w, h = own.width - 1.0, own.height - 1.0
+    pixels = np.array([[0, 0], [w, 0], [w, h], [0, h]])
+    rays = own.rays(pixels)
+    if not np.isfinite(rays).all():  # the lens model has no ray at a corner of the image
+        rays = np.column_stack([(pixels - [own.cx, own.cy]) / [own.fx, own.fy], np.ones(4)])
+    a, b, c, d = se3.transform(T, depth_m * rays)
+    o = T[:3, 3]
+    return np.stack([o, a, b, o, c, d, o, a, d, o, b, c]), se3.transform(T, np.array([0, 0, -0.6 * depth_m]))
 
 
 def _lines(name: str, points: FloatArray, color: str, width: int) -> dict[str, Any]:
-    x, y, z = np.round(points, 4).T
     return {
         "type": "scatter3d",
         "mode": "lines",
         "name": name,
-        "x": plain(x),
-        "y": plain(y),
-        "z": plain(z),
+        **_xyz(points, 4),
         "line": {"color": color, "width": width},
         "hoverinfo": "name",
         "connectgaps": False,

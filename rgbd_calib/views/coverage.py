@@ -229,7 +229,7 @@ def _missing_views(camera: str, coverage: CameraCoverage, params: CoverageParams
         sentences.append(f"{camera}: {_count(coverage.views, 'view')}, {params.min_views} needed: show it more poses")
     filled = int((coverage.regions > 0).sum())
     if filled < params.min_regions:
-        empty = _region_names(coverage.regions == 0)
+        empty = region_names(coverage.regions == 0)
         sentences.append(
             f"{camera}: corners in {filled} of {coverage.regions.size} image regions, {params.min_regions} needed: "
             f"move the board to the {empty}"
@@ -248,7 +248,7 @@ def _missing_views(camera: str, coverage: CameraCoverage, params: CoverageParams
     return sentences
 
 
-def _region_names(empty: IntArray) -> str:
+def region_names(empty: IntArray) -> str:
     """The empty regions in words, such as `upper left, lower right`; at most three."""
     rows, columns = empty.shape
     names = []
