@@ -93,6 +93,7 @@ def figure(own: RangeCoverage) -> Figure:
                 "y": 1,
                 "xref": "paper",
                 "yref": "paper",
+                "xanchor": "center",
                 "yanchor": "bottom",
                 "text": text,
                 "showarrow": False,

@@ -21,7 +21,7 @@ MAX_SIDE = 40
 SLICES = 3
 LIMITS_MM = (0.5, 1.0, 2.0, 5.0, 10.0)
 _STEPS_MM = [float(f"{m}e{e}") for e in range(-3, 5) for m in (1, 2, 5)]
-_LINES = 7
+_LINES = 10
 """Contour lines at most."""
 
 
@@ -63,9 +63,9 @@ def grid_of(quality: Mapping[str, Any]) -> ErrorGrid | None:
 
 
 def shares(grid: ErrorGrid) -> list[tuple[float, float]]:
-    """(limit in mm, share of the volume at or below it), up to the first that all of it keeps."""
+    """(limit in mm, share of the volume at or below it), from the first that some of it keeps to the first that all of it does."""
     error = grid.error_mm[np.isfinite(grid.error_mm)]
-    out = [(limit, float(np.mean(error <= limit))) for limit in LIMITS_MM]
+    out = [(limit, float(np.mean(error <= limit))) for limit in LIMITS_MM if error.min() <= limit]
     whole = [i for i, (_, share) in enumerate(out) if share == 1.0]
     return out[: whole[0] + 1] if whole else out
 

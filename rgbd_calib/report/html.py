@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 QUALITY = 80
 """Of pictures, as JPEG has it."""
+_BETTER = "To make it better: "
 
 
 def page(template: str, figures: dict[str, Figure], **values: Any) -> str:
@@ -62,14 +63,15 @@ def jpeg(picture: np.ndarray, widest_px: int | None = None) -> tuple[str, float]
 
 def by_camera(sentences: list[str], cameras: list[str]) -> list[str]:
     """Sentences that say the same of several cameras as one, with all their names; in the order of the first."""
-    merged: dict[tuple[str, str], list[str]] = {}
+    merged: dict[tuple[str, str, str], list[str]] = {}
     for text in sentences:
+        head = _BETTER if text.startswith(_BETTER) else ""
+        text = text[len(head) :]
         name = next((c for c in cameras if text.startswith((f"{c}: ", f"{c}'s "))), "")
-        merged.setdefault((text[len(name) :], "named" if name else text), []).append(name)
+        merged.setdefault((head, text[len(name) :], "" if name else text), []).append(name)
     out = []
-    for (rest, _), names in merged.items():
-        if len(names) > 1 and rest.startswith("'s "):
-            out.append(f"{', '.join(names)}: {rest[3:]}")
-        else:
-            out.append(", ".join(dict.fromkeys(names)) + rest)
+    for (head, rest, _), names in merged.items():
+        together = ", ".join(dict.fromkeys(names))
+        several = len(set(names)) > 1 and rest.startswith("'s ")
+        out.append(f"{head}{together}: {rest[3:]}" if several else f"{head}{together}{rest}")
     return out

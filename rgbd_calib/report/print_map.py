@@ -38,6 +38,13 @@ class Sheet:
             return None
         return float(self.sd_mm[:, :2].mean()), float(self.sd_mm[:, 2].mean())
 
+    @property
+    def determined(self) -> bool:
+        """False where its corners are less sure than their offsets are large: the recording did not show this face."""
+        if self.sd_mm is None:
+            return True
+        return float(np.sqrt(np.mean(self.sd_mm[:, :2] ** 2))) < float(np.sqrt(np.mean(self.offset_mm**2)))
+
 
 def sheets_of(board: Board) -> list[Sheet]:
     """Front and back as far as the board's shape is known."""

@@ -40,10 +40,12 @@ def verdict_words(verdict: Verdict, cameras: Sequence[str]) -> dict[str, Any]:
     Where a self-check failed, no number is called good.
     """
     reasons = list(verdict.reasons)
-    if verdict.level == "untrusted":
+    if verdict.level == "untrusted":  # the headline is the reason
         said = verdict.headline.partition(". ")[2].rstrip(".")
-        reasons = [text for text in reasons if said not in text or " Expect " in text]
-        reasons = [_GRADE.sub("", text) for text in reasons]
+        reasons = [""] + [_GRADE.sub("", text) for text in reasons if said not in text or " Expect " in text]
+    else:
+        telling = "Self-checks: " if verdict.level == "good" else f"({verdict.level})"
+        reasons.sort(key=lambda text: telling not in text)
     steps = by_camera(list(verdict.next_steps), list(cameras))
     return {"reason": reasons[0] if reasons else "", "reasons": reasons[1:], "steps": steps, "first_steps": FIRST_STEPS}
 
@@ -140,8 +142,10 @@ def board_print(drawn: Drawn, board: Board | None) -> list[dict[str, Any]]:
     out: list[dict[str, Any]] = []
     for sheet in print_map.sheets_of(board) if board is not None else []:
         assert board is not None
-        drawn[f"print_{sheet.face}"], scale = print_map.figure(sheet, 1e3 * board.square_m)
-        drawn[f"bow_{sheet.face}"] = print_map.bow(sheet, board)
+        scale = 1.0
+        if sheet.determined:
+            drawn[f"print_{sheet.face}"], scale = print_map.figure(sheet, 1e3 * board.square_m)
+            drawn[f"bow_{sheet.face}"] = print_map.bow(sheet, board)
         out.append(
             {
                 "sheet": sheet,

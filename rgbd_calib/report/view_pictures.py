@@ -20,9 +20,9 @@ MARGIN = 0.25
 """Around the board, as share of its size in the image."""
 WIDEST_PX = 560
 """Of a picture in the page."""
-CELLS = 56
+CELLS = 32
 """Of depth, across a picture."""
-FAR_OFF_M = 0.05
+FAR_OFF_M = 0.1
 """Depth that is farther off is not of the board: something is before it."""
 MIN_CORNERS = 4
 _ARROW_SHARE = 1.2  # 95th percentile of the arrows, in squares of the board
@@ -163,7 +163,7 @@ def depth_caption(picture: ViewPicture) -> str:
     """What the second figure shows."""
     assert picture.depth is not None
     errors = picture.depth.error_mm[np.isfinite(picture.depth.error_mm)]
-    return f"depth less the board: {errors.mean():+.2f} mm mean, {rms(errors):.2f} mm RMS of the cells; red reads too far, blue too near"
+    return f"{errors.mean():+.2f} mm mean, {rms(errors):.2f} mm RMS of the cells; red reads too far, blue too near"
 
 
 def rows_of(left: Residuals, chosen: Chosen) -> Residuals:

@@ -18,6 +18,8 @@ function draw(id) {
   if (id === "fig_scene") {
     if (narrow) {
       mine.height = 460;
+      const eye = mine.scene.camera.eye;
+      mine.scene.camera.eye = { x: 1.3 * eye.x, y: 1.3 * eye.y, z: 1.3 * eye.z };
       for (const trace of data) {
         if (trace.marker && trace.marker.colorbar) {
           Object.assign(trace.marker.colorbar, { orientation: "h", x: 0.5, y: 1.0, yanchor: "bottom", len: 0.9 });
