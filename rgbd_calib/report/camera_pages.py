@@ -182,8 +182,10 @@ def along(d: FloatArray, C: FloatArray) -> float:
     """Standard deviation of a vector d (n,) along itself, of covariance C (n, n); the largest of all ways where d is zero."""
     length = float(np.linalg.norm(d))
     if length < 1e-12:
-        return float(np.sqrt(max(np.linalg.eigvalsh((C + C.T) / 2)[-1], 0.0)))
-    return float(np.sqrt(max(d @ C @ d, 0.0)) / length)
+        widest = float(np.linalg.eigvalsh((C + C.T) / 2)[-1])
+    else:
+        widest = float(d @ C @ d) / length**2
+    return float(np.sqrt(max(widest, 0.0)))
 
 
 def depth_bias(bias: DepthBias, samples: Mapping[str, Any] | None, left: Residuals | None, index: int) -> Figure:

@@ -54,12 +54,12 @@ def grid_of(quality: Mapping[str, Any]) -> ErrorGrid | None:
     points_m, error_mm = points_of(quality)
     if not len(points_m):
         return None
-    sides, places = zip(*(np.unique(points_m[:, k], return_inverse=True) for k in range(3)), strict=True)
-    if max(map(len, sides)) > MAX_SIDE:
+    (x, i), (y, j), (z, k) = (np.unique(points_m[:, axis], return_inverse=True) for axis in range(3))
+    if max(len(x), len(y), len(z)) > MAX_SIDE:
         return None
-    error = np.full([len(side) for side in sides], np.nan)
-    error[places] = error_mm
-    return ErrorGrid(*sides, error)
+    error = np.full((len(x), len(y), len(z)), np.nan)
+    error[i, j, k] = error_mm
+    return ErrorGrid(x, y, z, error)
 
 
 def shares(grid: ErrorGrid) -> list[tuple[float, float]]:

@@ -118,7 +118,8 @@ def depth_cells(
     n = np.bincount(cell, minlength=rows * columns)
     total = np.bincount(cell, 1e3 * error_m[ok], minlength=rows * columns)
     mean = np.where(n > 0, total / np.maximum(n, 1), np.nan).reshape(rows, columns)
-    u, v = left - 0.5 + (np.arange(columns) + 0.5) * size, top - 0.5 + (np.arange(rows) + 0.5) * size
+    u = np.asarray(left - 0.5 + (np.arange(columns) + 0.5) * size)
+    v = np.asarray(top - 0.5 + (np.arange(rows) + 0.5) * size)
     return DepthCells(u, v, mean)
 
 
