@@ -181,10 +181,7 @@ def beside(own: RigCamera, at_m: float) -> tuple[Beside, Figure | None, float] |
 def along(d: FloatArray, C: FloatArray) -> float:
     """Standard deviation of a vector d (n,) along itself, of covariance C (n, n); the largest of all ways where d is zero."""
     length = float(np.linalg.norm(d))
-    if length < 1e-12:
-        widest = float(np.linalg.eigvalsh((C + C.T) / 2)[-1])
-    else:
-        widest = float(d @ C @ d) / length**2
+    widest = float(np.linalg.eigvalsh((C + C.T) / 2)[-1]) if length < 1e-12 else float(d @ C @ d) / length**2
     return float(np.sqrt(max(widest, 0.0)))
 
 
