@@ -388,7 +388,7 @@ def test_until_enough(rig):
         (["--intrinsic", "--depth-bias"], "both given"),
         (["--wave", "5", "--on-still", "--board", "9x6", "--square", "0.06"], "--wave records every frame"),
         (["--board", "9by6", "--square", "0.06"], "--board 9by6"),
-        (["--board", "9x6"], "--square None"),
+        (["--board", "9x6"], "--square M expected beside it"),
         (["--append", "--on-still"], "no board is named there"),
         (["--device", "C1"], "ID=SERIAL needed"),
         (["--distances", "1,2"], "--distances belongs to --depth-bias"),
