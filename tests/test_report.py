@@ -109,14 +109,14 @@ def test_the_page_is_one_small_file_with_every_section(page):
     assert not re.search(r"""(src|href)=["'](https?:)?//""", head)
     for section in (
         "verdict",
+        "images",
         "rig",
-        "clouds",
-        "pairs",
+        "volume",
         "coverage",
+        "cameras",
+        "board",
         "residuals",
-        "bias",
-        "weights",
-        "dropped",
+        "frames",
         "origin",
     ):
         assert f'<section id="{section}"' in head
@@ -305,8 +305,6 @@ def test_cells_of_the_image_hold_their_mean():
     np.testing.assert_allclose(cells.mean_px[0, 0], [0.3, 0.0], atol=1e-12)
     assert cells.mean_depth_m[0, 0] == pytest.approx(1e-3)
     assert np.isnan(cells.rms_px[3, 3]) and cells.count.sum() == n
-    bins = numbers.over_distance(left)
-    assert len(bins.depth_m) == 1 and bins.mean_depth_m[0] == pytest.approx(1e-3)
 
 
 def test_poses_alone_are_called_a_lower_bound_and_no_covariance_is_fair_at_best():
