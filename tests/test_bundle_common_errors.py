@@ -21,6 +21,27 @@ def rippled(view: PlacedView, phase_rad: float) -> PlacedView:
     return replace(view, view=replace(view.view, depth_m=z + shared))
 
 
+def patterned(view: PlacedView, pattern: np.ndarray) -> PlacedView:
+    """Depth with an error in disparity of each cell of the image, `pattern` in noise deviations."""
+    z, (across, down) = view.view.depth_m, np.floor(view.view.corners_px.T / 640 * len(pattern)).astype(int)
+    shared = NOISE.k_depth_per_m * z**2 * pattern[across, down]
+    return replace(view, view=replace(view.view, depth_m=z + shared))
+
+
+def test_what_depths_share_over_the_image_is_stated_camera_by_camera() -> None:
+    rng, rig, board = np.random.default_rng(0), sv.ring(2, biased=True), sv.TWO_SIDED
+    pattern = {"C1": np.zeros((16, 12)), "C2": rng.normal(size=(16, 12))}
+    views = [patterned(view, pattern[view.view.camera]) for view in draw(rig, board, 60, rng)]
+    result = solved(rig, views, board, rng)
+    clean, own = result.common.depth_image
+    # of 1 noise deviation, less what the smooth field follows, in units of a noise that holds some of the rest
+    assert clean < 0.2 and 0.5 < own < 1.2
+    z_m = np.array([1.0, 2.0])
+    stated = [result.depth_field(name).pattern_variance_m2(z_m) ** 0.5 for name in ("C1", "C2")]
+    np.testing.assert_allclose(stated[1], own * result.problem.weights.k_depth[1] * z_m**2)
+    assert np.all(stated[0] < 0.2 * stated[1])
+
+
 @pytest.mark.parametrize("ripple", [False, True])
 def test_what_depths_share_is_found_and_counted(ripple: bool) -> None:
     seeds, counted, uncounted, tau = 6, [], [], []

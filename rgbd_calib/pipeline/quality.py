@@ -66,7 +66,11 @@ def bundle_quality(solved: Solution) -> dict[str, Any]:
         "reciprocal_condition": solved.observability.reciprocal_condition,
         "corrected": properties_of(solved),
         **({"board_bow_m": solved.state.values["bow"][0]} if "bow" in solved.state.values else {}),
-        "common_error_sigmas": {"pixel": solved.common.pixel, "depth": solved.common.depth},
+        "common_error_sigmas": {
+            "pixel": solved.common.pixel,
+            "depth": solved.common.depth,
+            "depth_over_image": solved.common.depth_image,
+        },
     }
 
 

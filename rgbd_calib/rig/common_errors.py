@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rgbd_calib.geometry.linear import Covariance, IntArray, product
+from rgbd_calib.geometry.linear import BoolArray, Covariance, IntArray, product
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import Kind
 from rgbd_calib.rig.observations import Observations
@@ -31,7 +31,10 @@ GRID = (8, 6)
 """Cells of the image, across and down: finer than the lens model's own shapes, coarse enough to hold several views."""
 RANGE_CELLS = 24
 """Cells of each camera's depths, with equally many corners: some cm wide, several steps of a structured-light sensor."""
-N_CELLS = 2 * GRID[0] * GRID[1] + RANGE_CELLS
+DEPTH_GRID = (16, 12)
+"""Cells of the image in which depths err alike: finer than the smooth field's shapes."""
+N_PIXEL_CELLS = 2 * GRID[0] * GRID[1]
+N_CELLS = N_PIXEL_CELLS + RANGE_CELLS + DEPTH_GRID[0] * DEPTH_GRID[1]
 MIN_CORNERS = 5
 """Cells with fewer are left out."""
 
@@ -41,7 +44,9 @@ class CommonErrors:
     pixel: float
     """tau: standard deviation of what a cell's pixels share, in sigmas of one of them."""
     depth: float
-    """The same of the depth."""
+    """The same of the depths of a cell of the range."""
+    depth_image: FloatArray
+    """(C,), the same of the depths of a cell of the image, camera by camera."""
     covariance: FloatArray
     """(P, P) that they add to the global parameters'."""
 
@@ -55,54 +60,66 @@ def common_errors(problem: Problem, state: State, cov: Covariance) -> CommonErro
     by_global, by_unit = np.zeros((K, P)), np.zeros((F, K, D))
     for views, look, rows in problem.rows(state):
         of_pixels = look.kind is Kind.PIXEL
-        cell = cells[views][..., :2] if of_pixels else cells[views][..., 2:]
-        used = (np.abs(rows.J_unit).max(axis=-1) > 0) | (np.abs(rows.J).max(axis=-1) > 0)
-        view, corner, axis = np.nonzero(used & (cell >= 0))
-        k = cell[view, corner, axis]
-        n += np.bincount(k, minlength=K)
-        total += np.bincount(k, rows.r[view, corner, axis], minlength=K)
-        np.add.at(by_global, (k[:, None], rows.columns), rows.J[view, corner, axis])
-        if rows.J_point.shape[-1]:
-            np.add.at(by_global, (k[:, None], rows.point_columns[view, corner]), rows.J_point[view, corner, axis])
-        np.add.at(by_unit, (rows.units[view], k), rows.J_unit[view, corner, axis])
         Q, ratio = (weights.Q_pixel, weights.ratio_pixel) if of_pixels else (weights.Q_depth, weights.ratio_depth)
-        place = corner * cell.shape[-1] + axis
-        pairs, which = np.unique(np.stack([view, k]), axis=1, return_inverse=True)
-        sums = np.zeros((pairs.shape[1], Q.shape[2]))
-        np.add.at(sums, which.ravel(), Q[views[view], place])
-        in_pose += np.bincount(pairs[1], sums**2 @ (ratio**2 - 1), minlength=K)
+        used = (np.abs(rows.J_unit).max(axis=-1) > 0) | (np.abs(rows.J).max(axis=-1) > 0)
+        for columns in (slice(0, 2),) if of_pixels else (slice(2, 3), slice(3, 4)):
+            cell = cells[views][..., columns]
+            view, corner, axis = np.nonzero(used & (cell >= 0))
+            k = cell[view, corner, axis]
+            n += np.bincount(k, minlength=K)
+            total += np.bincount(k, rows.r[view, corner, axis], minlength=K)
+            np.add.at(by_global, (k[:, None], rows.columns), rows.J[view, corner, axis])
+            if rows.J_point.shape[-1]:
+                np.add.at(by_global, (k[:, None], rows.point_columns[view, corner]), rows.J_point[view, corner, axis])
+            np.add.at(by_unit, (rows.units[view], k), rows.J_unit[view, corner, axis])
+            place = corner * cell.shape[-1] + axis
+            pairs, which = np.unique(np.stack([view, k]), axis=1, return_inverse=True)
+            sums = np.zeros((pairs.shape[1], Q.shape[2]))
+            np.add.at(sums, which.ravel(), Q[views[view], place])
+            in_pose += np.bincount(pairs[1], sums**2 @ (ratio**2 - 1), minlength=K)
     eq = cov.equations
     reduced = by_global.copy()
     for WV, units, at in zip(eq.WV, eq.pattern.units, eq.pattern.columns, strict=True):
         reduced[:, at] -= np.einsum("npi,nki->kp", WV, by_unit[units], optimize=True)
     moved = reduced @ cov.of_globals  # A^-1 s_k
     absorbed = moved @ reduced.T + product(eq.unit_solved(by_unit.transpose(0, 2, 1)).transpose(0, 2, 1), by_unit)
-    of_depth = np.arange(K) % N_CELLS >= N_CELLS - RANGE_CELLS
-    tau = []
     covariance = np.zeros((P, P))
-    for mine in (~of_depth, of_depth):
+
+    def shared(mine: BoolArray) -> float:
+        """tau of some cells; the covariance grows by what they share."""
+        nonlocal covariance
         kept = np.flatnonzero(mine & (n >= MIN_CORNERS))
         own = absorbed[np.ix_(kept, kept)]
         expected = np.sum((n[kept] + in_pose[kept] - np.diag(own)) / n[kept])
         growth = np.sum((np.diag(n[kept]) - own) ** 2 / n[kept, None])
         tau2 = max(0.0, float(np.sum(total[kept] ** 2 / n[kept]) - expected) / growth) if growth > 0 else 0.0
         covariance += tau2 * moved[kept].T @ moved[kept]
-        tau.append(float(np.sqrt(tau2)))
-    return CommonErrors(tau[0], tau[1], covariance)
+        return float(np.sqrt(tau2))
+
+    camera, cell = np.divmod(np.arange(K), N_CELLS)
+    kind = np.searchsorted(np.cumsum([N_PIXEL_CELLS, RANGE_CELLS]), cell, side="right")
+    over_image = np.array([shared((kind == 2) & (camera == c)) for c in range(len(sizes_px))])
+    return CommonErrors(shared(kind == 0), shared(kind == 1), over_image, covariance)
 
 
 def _cells(obs: Observations, sizes_px: FloatArray) -> IntArray:
-    """Cell (V, N, 3) of each residual u, v, depth; -1 where there is none."""
-    size = sizes_px[obs.camera][:, None]
-    across, down = np.moveaxis(np.floor((obs.pixels_px + 0.5) / size * GRID).astype(int), -1, 0)
-    place = np.clip(across, 0, GRID[0] - 1) * GRID[1] + np.clip(down, 0, GRID[1] - 1)
+    """Cell (V, N, 4) of each residual u, v, and of the depth, over the range and over the image; -1 where there is none."""
     ranges = np.zeros(obs.has_depth.shape, int)
     for c in np.unique(obs.camera):
         mine = obs.has_depth & (obs.camera == c)[:, None]
         if mine.any():
             edges = np.quantile(obs.depth_m[mine], np.linspace(0, 1, RANGE_CELLS + 1)[1:-1])
             ranges[mine] = np.searchsorted(edges, obs.depth_m[mine])
-    n_image = GRID[0] * GRID[1]
-    cell = np.stack([place, n_image + place, 2 * n_image + ranges], axis=-1) + obs.camera[:, None, None] * N_CELLS
-    seen = np.stack([obs.has_pixel, obs.has_pixel, obs.has_depth], axis=-1)
+    u = _place(obs, sizes_px, GRID)
+    cell = np.stack([u, u, ranges, _place(obs, sizes_px, DEPTH_GRID)], axis=-1)
+    cell += np.array([0, N_PIXEL_CELLS // 2, N_PIXEL_CELLS, N_PIXEL_CELLS + RANGE_CELLS])
+    cell += obs.camera[:, None, None] * N_CELLS
+    seen = np.stack([obs.has_pixel, obs.has_pixel, obs.has_depth, obs.has_depth], axis=-1)
     return np.where(seen, cell, -1)
+
+
+def _place(obs: Observations, sizes_px: FloatArray, grid: tuple[int, int]) -> IntArray:
+    """Cell (V, N) of a grid over the image, in which each corner is seen."""
+    at = np.floor((obs.pixels_px + 0.5) / sizes_px[obs.camera][:, None] * grid).astype(int)
+    across, down = np.moveaxis(np.clip(at, 0, np.array(grid) - 1), -1, 0)
+    return np.asarray(across * grid[1] + down)

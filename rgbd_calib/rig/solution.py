@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rgbd_calib.geometry.camera import Intrinsics
-from rgbd_calib.geometry.depth_error import PolynomialField
+from rgbd_calib.geometry.depth_error import CellPattern, PolynomialField
 from rgbd_calib.geometry.linear import Covariance, IntArray
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks import BoardShapeBlock, DepthBiasBlock, depth_field, registration
@@ -137,10 +137,19 @@ class Solution:
         assert isinstance(block, DepthBiasBlock) and isinstance(field, depth_field.DepthField)
         low, high = (float(z) for z in block.range_m[i])
         own = self.state.values["depth field"][i]
-        pattern = self.problem.local[i] if self.problem.local else None
+        pattern = self._pattern(i, float(field.at_m[i]))
         size, covariance = (lens.width, lens.height), self.covariance[np.ix_(at, at)]
         growth, at_m = (float(own[-2]), float(own[-1])), float(field.at_m[i])
         return PolynomialField(*size, depth_field.DEGREE, growth, own[:-2], low, high, covariance, pattern, at_m)
+
+    def _pattern(self, i: int, at_m: float) -> CellPattern | None:
+        """What is finer than the smooth field, as walls showed it, with the variance of what the boards' depths say is left."""
+        pattern = self.problem.local[i] if self.problem.local else None
+        shared = float(self.common.depth_image[i] * self.problem.weights.k_depth[i])  # times z^2
+        if shared == 0 or (pattern is not None and pattern.variance_m2(np.array(at_m)) > (shared * at_m**2) ** 2):
+            return pattern
+        powers, values = ((2,), np.zeros((1, 1, 1))) if pattern is None else (pattern.powers, pattern.values)
+        return CellPattern(powers, values, np.diag([shared**2 if power == 2 else 0.0 for power in powers]))
 
     def depth_camera(self, camera: str) -> DepthCamera | None:
         """The camera that its depth image is of, where that is not quite the colour camera; None without depth."""
