@@ -23,9 +23,9 @@ SIMPLEST_FIRST: tuple[LensKind, ...] = ("brown", "fisheye", "rational")
 FOLDS = 4
 LEAST_VIEWS = 3 * FOLDS
 """Fewer do not tell one kind from another."""
-WORTH = 0.97
-"""RMS of one kind over another's below which it is better by more than the errors of a print, which each kind takes up
-differently. Where the rational lens, which has most coefficients, is not, no other is tried."""
+WORTH: dict[LensKind, float] = {"fisheye": 0.95, "rational": 0.9}
+"""RMS over that of a simpler kind below which it is better by more than the errors of a print, which each kind takes up
+differently; the rational lens has coefficients that nearly cancel each other."""
 SURE = 2.0
 """Standard errors by which another kind must be better."""
 
@@ -35,16 +35,17 @@ class LensChoice:
     """A kind of lens, and why."""
 
     kind: LensKind
-    held_out_px: Mapping[LensKind, float]
-    """RMS of views held out, in the median; empty where no other kind had to be tried."""
+    held_out_px: Mapping[LensKind, float | None]
+    """RMS of views held out, in the median, None of a lens that cannot be inverted in its image; empty where no other kind had
+    to be tried."""
 
     @property
     def sentence(self) -> str:
         """Why, for people; empty where nothing was to choose."""
         if not self.held_out_px:
             return ""
-        others = ", ".join(f"{kind} {px:.3f}" for kind, px in self.held_out_px.items())
-        return f"lens {self.kind}: RMS of views held out, px: {others}"
+        each = (f"{kind} {'not invertible' if px is None else f'{px:.3f} px'}" for kind, px in self.held_out_px.items())
+        return f"lens {self.kind}; RMS of views held out: {', '.join(each)}"
 
 
 def choose(views: Sequence[BoardView], board: Board, size: tuple[int, int]) -> LensChoice:
@@ -60,7 +61,7 @@ def choose(views: Sequence[BoardView], board: Board, size: tuple[int, int]) -> L
         return LensChoice("brown", {})
     rational = _attempt(views, board, size, "rational")
     gain = np.median(rational.view_rms_px / brown.view_rms_px) if rational else 1.0
-    if gain > WORTH and not brown.folds:
+    if gain > max(WORTH.values()) and not brown.folds:
         return LensChoice("brown", {})
     left: dict[LensKind, FloatArray] = {}
     whole = {"brown": brown, "fisheye": _attempt(views, board, size, "fisheye"), "rational": rational}
@@ -69,9 +70,10 @@ def choose(views: Sequence[BoardView], board: Board, size: tuple[int, int]) -> L
             left[kind] = np.full(len(views), np.inf) if own.folds else _held_out(views, board, size, kind)
     chosen: LensKind = "brown"
     for kind in left:
-        if kind != chosen and _better(left[kind], left[chosen]):
+        if kind != chosen and _better(left[kind], left[chosen], WORTH[kind]):
             chosen = kind
-    return LensChoice(chosen, {kind: float(np.median(own)) for kind, own in left.items()})
+    medians = {kind: float(np.median(own)) for kind, own in left.items()}
+    return LensChoice(chosen, {kind: px if np.isfinite(px) else None for kind, px in medians.items()})
 
 
 def best(views: Sequence[BoardView], board: Board, size: tuple[int, int], kind: LensKind) -> ZhangSolution:
@@ -118,9 +120,9 @@ def _posed_rms_px(view: BoardView, board: Board, lens: Intrinsics) -> float:
     return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
 
 
-def _better(one: FloatArray, other: FloatArray) -> bool:
+def _better(one: FloatArray, other: FloatArray, worth: float) -> bool:
     """True where one kind's views held out are surely better than the other's; logarithms, so that no bad view decides."""
     if not np.isfinite(one).all() or not np.isfinite(other).all():
         return bool(np.isfinite(one).sum() > np.isfinite(other).sum())
     gain = np.log(other / one)
-    return bool(gain.mean() > max(SURE * gain.std(ddof=1) / np.sqrt(len(gain)), -np.log(WORTH)))
+    return bool(gain.mean() > max(SURE * gain.std(ddof=1) / np.sqrt(len(gain)), -np.log(worth)))

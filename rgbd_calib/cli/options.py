@@ -141,6 +141,12 @@ def parse_board(size: str | None, square_m: float | None, thickness_m: float | N
 config_option = click.option(
     "--config", type=click.Path(path_type=Path), help="YAML with settings; the command line wins over it."
 )
+lens_option = click.option(
+    "--lens",
+    type=click.Choice(["auto", "brown", "rational", "fisheye"]),
+    help="Lens model to estimate: OpenCV's 5 coefficients, its 8, or its fisheye; auto: what views held out ask for. Of given "
+    "intrinsics, and of few views, it stays what it is.  [default: auto]",
+)
 corners_option = click.option(
     "--corners", type=click.Path(path_type=Path), help="corners.csv of `rgbd-calib detect`, instead of detecting again."
 )

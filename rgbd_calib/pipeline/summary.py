@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from rgbd_calib.cameras.lens_choice import LensChoice
 from rgbd_calib.errors import RgbdCalibError
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.residuals import Residuals
@@ -26,6 +27,7 @@ def course(quality: dict[str, Any]) -> list[str]:
         lines.append("Views used: " + ", ".join(f"{name} {used[name]} of {images[name]} images" for name in used))
     if selected := told(quality):
         lines.append(selected)
+    lines += [f"{name}: {LensChoice(**own).sentence}" for name, own in quality.get("lenses", {}).items()]
     for key, what in (("views_not_associated", "left out"), ("dropped", "dropped")):
         for name, frames in quality.get(key, {}).items():
             lines += [f"{name}: frame {frame} {what}: {why}" for frame, why in frames.items()]

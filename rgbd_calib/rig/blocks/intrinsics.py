@@ -55,10 +55,7 @@ class IntrinsicsBlock(Block):
         return (*first, *names[: len(longest.distortion)])
 
     def start(self) -> FloatArray:
-        out = np.zeros((self.sets, self.n))
-        for row, prior in zip(out, self.setup.priors, strict=True):
-            row[: len(prior.intrinsics.vector)] = prior.intrinsics.vector
-        return out
+        return self.setup.intrinsics
 
     def prior(self) -> BlockPrior:
         own = self.setup
