@@ -70,17 +70,16 @@ class _Sums:
 def common_errors(problem: Problem, state: State, cov: Covariance) -> CommonErrors:
     """Estimate what residuals share at the minimum, from its equations."""
     sums = _sums(problem, state, None)
-    n, by_unit = sums.n, sums.by_unit
-    K, P = sums.by_global.shape
+    n, (K, P) = sums.n, sums.by_global.shape
     reduced = _reduced(sums, cov.equations)
     moved = reduced @ cov.of_globals  # A^-1 s_k
-    solved = cov.equations.unit_solved(by_unit.transpose(0, 2, 1)).transpose(0, 2, 1)
-    absorbed = moved @ reduced.T + product(solved, by_unit)
     tau = []
     covariance = np.zeros((P, P))
     for mine in _groups(K):
         kept = np.flatnonzero(mine & (n >= MIN_CORNERS))
-        own = absorbed[np.ix_(kept, kept)]
+        by_unit = sums.by_unit[:, kept]
+        solved = cov.equations.unit_solved(by_unit.transpose(0, 2, 1)).transpose(0, 2, 1)
+        own = moved[kept] @ reduced[kept].T + product(solved, by_unit)
         expected = np.sum((n[kept] + sums.in_pose[kept] - np.diag(own)) / n[kept])
         growth = np.sum((np.diag(n[kept]) - own) ** 2 / n[kept, None])
         tau2 = max(0.0, float(np.sum(sums.total[kept] ** 2 / n[kept]) - expected) / growth) if growth > 0 else 0.0
