@@ -137,7 +137,7 @@ def _cloud(recording: Recording, rig: Rig, name: str, frame: str, params: FusePa
     kept = measured & ~jump & ~far & ~lost & ~beyond
     p_color = p_color[kept]
     if frame in recording.color_files[name]:
-        at = np.rint(np.nan_to_num(camera.intrinsics.project(p_color), nan=-1e6)).astype(int)
+        at = np.rint(np.clip(np.nan_to_num(camera.intrinsics.project(p_color), nan=-1e6), -1e6, 1e6)).astype(int)
         size = np.array([camera.intrinsics.width, camera.intrinsics.height])
         u, v = np.clip(at, 0, size - 1).T
         shown = np.all((at > -MARGIN_PX) & (at < size - 1 + MARGIN_PX), axis=1)  # depth may see more than colour does
