@@ -49,7 +49,9 @@ def command(
     """
     refuse_existing(output / "index.html", overwrite)
     if other is not None and (recording is not None or depth_bias is not None):
-        raise click.UsageError("--compare shows rigs alone: --recording and --depth-bias do not go with it. Leave them out")
+        raise click.UsageError(
+            "--compare shows rigs alone: --recording and --depth-bias do not go with it. Leave them out"
+        )
     from rgbd_calib.pipeline.report import comparison_of_files, report_of_file, verdict_of_file
     from rgbd_calib.pipeline.summary import numbers_of
     from rgbd_calib.report import compare_page

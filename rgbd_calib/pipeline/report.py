@@ -218,7 +218,12 @@ def _moved_clouds(
             se3.transform(one.cameras[name].T_world_color, p := one.cameras[name].depth_image.points(depth_m))
             for one in (first, rig)
         ]
-        kept = np.isfinite(depth_m) & ~fuse.on_jump(depth_m, params.jump) & (p[..., 2] <= params.max_depth_m)
+        kept = (
+            np.isfinite(depth_m)
+            & ~fuse.on_jump(depth_m, params.jump)
+            & (p[..., 2] > 0)
+            & (p[..., 2] <= params.max_depth_m)
+        )
         kept &= np.all(np.isfinite(points), axis=(0, -1))
         chosen = np.flatnonzero(kept)
         chosen = chosen[:: max(1, len(chosen) * len(names) // POINTS)]

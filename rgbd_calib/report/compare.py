@@ -259,7 +259,12 @@ def _which(sides: Sequence[Side]) -> str:
     (first, a), (second, b) = ((side.name, side.expected) for side in sides if side.expected is not None)
     if a["of"] != b["of"]:
         return f"It is not known which is better: the expected error of {first} counts {a['of']}, that of {second} {b['of']}."
-    (worse, more), (better, less) = sorted([(first, a["mean_mm"]), (second, b["mean_mm"])], key=lambda row: -row[1])
-    if more - less < ALIKE * more:
-        return f"Both expect about the same error: {a['mean_mm']:.2f} mm and {b['mean_mm']:.2f} mm in the mean, each over its own volume."
-    return f"{better} expects less error: {less:.2f} mm in the mean, {worse} {more:.2f} mm, each over its own volume."
+    (better, less), (worse, more) = sorted([(first, a), (second, b)], key=lambda row: float(row[1]["mean_mm"]))
+    if more["mean_mm"] - less["mean_mm"] < ALIKE * more["mean_mm"]:
+        return f"Both expect about the same error: {_mm(a)} and {_mm(b)} in the mean, each over its own volume."
+    return f"{better} expects less error: {_mm(less)} in the mean, {worse} {_mm(more)}, each over its own volume."
+
+
+def _mm(expected: Mapping[str, Any]) -> str:
+    mean = expected["mean_mm"]
+    return f"{mean:.0f} mm" if mean >= 100 else f"{mean:.2f} mm"

@@ -18,7 +18,9 @@ def render(rigs: tuple[Rig, Rig], found: Comparison) -> str:
     a, b = rigs
     first, second = (in_frame(rig, found.frame) for rig in rigs)
     points_m, error_mm = error_map.points_of(a.quality)
-    drawn, scale = scene_of_two(first, second, se3.transform(first.cameras[a.reference].T_world_color, points_m), error_mm)
+    drawn, scale = scene_of_two(
+        first, second, se3.transform(first.cameras[a.reference].T_world_color, points_m), error_mm
+    )
     names = dict.fromkeys([*a.cameras, *b.cameras])
     return page(
         "compare.html",

@@ -72,7 +72,7 @@ def depth_ranges(coverage: Mapping[str, CameraCoverage], params: CoverageParams)
 
 def views(rows: Sequence[ViewResidual], cameras: Sequence[str], depth: bool) -> Figure:
     """RMS of every view, in px or of depth in mm; crosses are views that were left out."""
-    order = list(dict.fromkeys(row.frame for row in rows))
+    order = list(dict.fromkeys(row.frame.replace(" alone: ", " ") for row in rows))
     traces = []
     for i, name in enumerate(cameras):
         for used in (True, False):
@@ -85,7 +85,7 @@ def views(rows: Sequence[ViewResidual], cameras: Sequence[str], depth: bool) -> 
                     "type": "scatter",
                     "mode": "markers",
                     "name": name if used else f"{name}, left out",
-                    "x": [r.frame for r in own],
+                    "x": [r.frame.replace(" alone: ", " ") for r in own],
                     "y": plain(np.round(values, 4)),
                     "marker": {"color": css_color(i), "size": 7 if used else 10, "symbol": "circle" if used else "x"},
                 }

@@ -13,6 +13,7 @@ import numpy as np
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.report.error_map import top_mm
 from rgbd_calib.report.plots import Figure, css_color, longest, plain
 from rgbd_calib.types import Board, Rig, RigCamera
 
@@ -65,7 +66,7 @@ def scene_of_two(first: Rig, second: Rig, grid_m: FloatArray, error_mm: FloatArr
     """
     places = [own.T_world_color[:3, 3] for rig in (first, second) for own in rig.cameras.values()]
     extent_m = float(np.max(np.ptp(np.concatenate([places, grid_m]), axis=0))) or 1.0
-    traces = [_volume(grid_m, error_mm, hidden=False)] if len(grid_m) else []
+    traces = [_volume(grid_m, error_mm, hidden=True)] if len(grid_m) else []
     names = list(dict.fromkeys([*first.cameras, *second.cameras]))
     for i, name in enumerate(names):
         for rig, which, dash in ((first, "first", "solid"), (second, "second", "dash")):
@@ -99,7 +100,6 @@ def _xyz(points_m: FloatArray, digits: int) -> dict[str, Any]:
 
 
 def _volume(grid_m: FloatArray, error_mm: FloatArray, hidden: bool) -> dict[str, Any]:
-    top = float(np.percentile(error_mm, 98))
     return {
         "type": "scatter3d",
         "mode": "markers",
@@ -115,7 +115,7 @@ def _volume(grid_m: FloatArray, error_mm: FloatArray, hidden: bool) -> dict[str,
             "colorscale": "Viridis",
             "reversescale": True,
             "cmin": 0,
-            "cmax": top,
+            "cmax": top_mm(error_mm),
             "colorbar": {
                 "title": {"text": "expected error, mm", "side": "right"},
                 "thickness": 12,
