@@ -140,7 +140,7 @@ def _chosen(error_mm: FloatArray, axis: int) -> list[int]:
     if len(filled) <= SLICES:
         return filled
     inner = np.linspace(0, len(filled) - 1, SLICES + 2)[1:-1]
-    return [filled[round(i)] for i in inner]
+    return [filled[i] for i in dict.fromkeys(round(i) for i in inner)]
 
 
 def _contour(grid: ErrorGrid, x: FloatArray, y: FloatArray, z: FloatArray) -> dict[str, Any]:
