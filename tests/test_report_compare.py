@@ -208,9 +208,17 @@ def test_the_same_page_in_a_browser_fits_a_phone(two, tmp_path, run, browser):
     run("report", two / "old.yaml", "--compare", two / "new.yaml", "-o", tmp_path)
     metrics = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    browser.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
     browser.get((tmp_path / "index.html").as_uri())
     WebDriverWait(browser, 120).until(lambda b: b.execute_script("return document.body.dataset.drawn") == "yes")
     assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
+    # a finger scrolls the page until it is asked to turn the view
+    drag = "return document.getElementById('fig_scene').layout.scene.dragmode"
+    button = browser.find_element("css selector", "button.touch")
+    assert button.is_displayed() and browser.execute_script(drag) is False
+    browser.execute_script("arguments[0].click()", button)
+    WebDriverWait(browser, 60).until(lambda b: b.execute_script(drag) == "orbit")
+    assert button.get_attribute("aria-pressed") == "true"
     # turned by the keyboard alone
     eye = "const e = document.getElementById('fig_scene').layout.scene.camera.eye; return [e.x, e.y, e.z]"
     before = browser.execute_script(eye)

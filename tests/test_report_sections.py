@@ -422,7 +422,7 @@ def test_the_slider_leads_from_the_rig_before_to_the_rig_after():
     assert all("meta" not in t for t in still["data"])
 
 
-def test_the_slider_moves_what_is_drawn(tmp_path, browser):
+def test_the_slider_moves_what_is_drawn_and_paper_shows_all(tmp_path, browser):
     """By the keyboard: five steps of 5 % back, so a quarter of the way back to the rig before."""
     from selenium.webdriver.common.keys import Keys
     from selenium.webdriver.support.ui import WebDriverWait
@@ -436,6 +436,14 @@ def test_the_slider_moves_what_is_drawn(tmp_path, browser):
         slide.send_keys(Keys.ARROW_LEFT)
     drawn = "return document.getElementById('fig_scene').data.find(t => t.name === 'C2' && t.mode === 'lines').x[0]"
     assert browser.execute_script(drawn) == pytest.approx(0.5 + 0.25 * 0.4)
+    # on paper all is unfolded, and folded again afterwards
+    folded = "return document.querySelectorAll('details:not([open])').length"
+    count = browser.execute_script(folded)
+    assert count > 0
+    browser.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+    assert browser.execute_script(folded) == 0
+    browser.execute_script("window.dispatchEvent(new Event('afterprint'))")
+    assert browser.execute_script(folded) == count
 
 
 # the whole page
