@@ -285,10 +285,12 @@ def test_coverage_counts_views_by_region_and_range():
     np.testing.assert_allclose(found["C1"].edges_m, [1, 2, 3, 4], atol=1e-5)
     assert found["C1"].counts[0, 0, 0] == 2 and found["C1"].counts[1, 2, 3] == 1 and found["C1"].counts.sum() == 3
     assert found["C2"].counts[2, 1, 1] == 1 and found["C2"].counts.sum() == 1
-    assert found["C1"].empty[2] == "far (3.0 to 4.0 m): no view"
-    assert found["C1"].empty[0].startswith("near (1.0 to 2.0 m): 11 of 12 regions empty")
+    assert found["C1"].empty[2] == "far, 3.0-4.0 m: no view"
+    assert found["C1"].empty[0].startswith("near, 1.0-2.0 m: 11 of 12 regions empty")
     assert coverage_map.figure(found["C1"])["data"][1]["z"] == found["C1"].counts[1].tolist()
-    assert coverage_map.range_coverage([placed("C1", NAN, 0, 0)], ["C1"]) == {}
+    unknown = coverage_map.range_coverage([placed("C1", NAN, 0, 0)] * 2, ["C1"])["C1"]
+    assert unknown.counts[0, 0, 0] == 2 and unknown.empty[0].startswith("any distance: 11 of 12 regions empty")
+    assert len(coverage_map.figure(unknown)["data"]) == 1
 
 
 def test_the_table_of_frames_says_what_became_of_every_view():
