@@ -58,3 +58,10 @@ def test_export_and_import_calibration(run, tiny, tmp_path, to, name):
         numbers = json.loads(read.stdout)
         assert set(numbers["cameras"]) == {"C1", "C2", "C3"}
         assert numbers["cameras"]["C1"]["intrinsics"]["fx"] == pytest.approx(60.0)
+
+
+def test_report(run, tiny, tmp_path):
+    out = run("report", tiny.rig_path, "-o", tmp_path, "--json")
+    numbers = json.loads(out.stdout)
+    assert numbers["verdict"] == "unknown" and set(numbers["cameras"]) == {"C1", "C2", "C3"}
+    assert numbers["cameras"]["C2"]["position_m"] == pytest.approx([0.6, 0.05, 0.1])

@@ -101,6 +101,7 @@ def figure(own: RangeCoverage) -> Figure:
                 "xanchor": "center",
                 "yanchor": "bottom",
                 "text": own.labels[i],
+                "font": {"size": 11},
                 "showarrow": False,
             }
         )
