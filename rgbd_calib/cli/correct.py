@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import click
 
 from rgbd_calib.cli.options import (
+    give,
     jobs_option,
+    json_option,
     output_option,
     overwrite_option,
     progress,
@@ -33,6 +36,7 @@ from rgbd_calib.cli.options import (
 @jobs_option
 @output_option("the corrected recording, a folder")
 @overwrite_option
+@json_option
 def command(
     recording: Path,
     rig_path: Path,
@@ -84,3 +88,4 @@ def command(
             share = done.outside_pixels / done.measured_pixels
             notes.append(f"{share:.1%} of the depth pixels outside the range of the bias's data, {what}")
         say(f"  {camera}: {', '.join(notes)}")
+    give({"output": str(output), "cameras": {camera: asdict(done) for camera, done in summary.items()}})

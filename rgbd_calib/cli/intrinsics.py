@@ -11,6 +11,8 @@ import click
 from rgbd_calib.cli.options import (
     config_option,
     corners_option,
+    give,
+    json_option,
     lens_option,
     output_option,
     overwrite_option,
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 @config_option
 @workers_options
 @overwrite_option
+@json_option
 def command(
     recording: Path,
     output: Path,
@@ -98,3 +101,19 @@ def command(
         for frame, why in result.dropped.items():
             say(f"{name}: frame {frame} left out: {why}")
     say(f"Wrote {output}")
+    give(
+        {
+            "output": str(output),
+            "cameras": {
+                name: {
+                    "intrinsics": asdict(result.intrinsics),
+                    "sd": result.standard_deviation,
+                    "rms_px": result.rms_px,
+                    "views": len(result.view_rms_px),
+                    "not_needed": len(result.not_needed),
+                    "dropped": result.dropped,
+                }
+                for name, result in results.items()
+            },
+        }
+    )
