@@ -105,7 +105,7 @@ def dense_problem(seed: int, excess: float = 0.0) -> tuple[Equations, np.ndarray
     eq = Equations(
         ("C1", "C2"), camera, frame, np.ones(VIEWS, bool), tuple("01234"), {"extra": slice(0, 2)}, rows,
         base.covariance(free), prior, gradient, free, np.full(VIEWS, ROWS), np.ones(VIEWS), np.zeros(2, int),
-        np.full(2, excess), part, part,
+        np.full(2, excess), part, part, lambda views: np.zeros((0, P)),
     )  # fmt: skip
     return eq, J_all, r, A, sigma
 
@@ -194,6 +194,26 @@ def test_a_frame_taken_away_by_formula_and_in_truth(seed, taken):
     np.testing.assert_allclose(held.step, step, rtol=1e-6)
     seen = J[keep].T @ J[keep]
     np.testing.assert_allclose(held.covariance, np.linalg.pinv(seen)[np.ix_(own, own)], rtol=1e-6)
+
+
+def test_what_errors_of_all_views_move_the_solution_without_a_frame_by():
+    """Three errors, each a number added to the same rows of every view, against the dense solution without the frames."""
+    eq, J, _, _, _ = dense_problem(3)
+    shared = np.tile(np.random.default_rng(4).normal(size=(3, ROWS)), VIEWS)  # (3, N)
+    of_globals, of_units = J[:-GLOBALS, :GLOBALS], J[:-GLOBALS, GLOBALS:]
+
+    def reduced(views):
+        rows = np.repeat(np.isin(np.arange(VIEWS), views), ROWS)
+        own = np.where(rows, shared, 0.0)
+        return own @ of_globals - own @ of_units @ np.linalg.pinv(of_units.T @ of_units) @ of_units.T @ of_globals
+
+    gone = np.isin(np.arange(VIEWS) % BOARDS, [1, 4])
+    held = delete(replace(eq, common=reduced), gone)
+    keep = np.concatenate([np.repeat(~gone, ROWS), np.ones(GLOBALS, bool)])
+    added = np.concatenate([shared, np.zeros((3, GLOBALS))], axis=1)[:, keep]
+    moved = np.linalg.lstsq(J[keep], -added.T, rcond=None)[0][:GLOBALS].T
+    np.testing.assert_allclose(held.common, moved, rtol=1e-6, atol=1e-12)
+    assert held.statistic < delete(eq, gone).statistic  # more is allowed
 
 
 NOISE = ViewNoise(0.1, 0.7e-3, 0.0)
@@ -363,6 +383,9 @@ def test_strict_exits_with_one_and_the_rig_is_there(run, wrong_square, tmp_path)
     assert out.status == 1
     assert "Do not trust this" in out.stderr
     assert "Measure the print" in out.stderr
+    lines = out.stderr.splitlines()
+    cause = next(line for line in lines if "Do not trust this" in line).split("Do not trust this. ")[1]
+    assert out.stderr.count(cause) == 1
     rig = read_rig(tmp_path / "rig.yaml")
     assert rig.quality["self_check"]["trusted"] is False
     assert any(f["level"] == "distrust" for f in rig.quality["self_check"]["findings"])

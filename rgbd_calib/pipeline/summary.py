@@ -73,8 +73,14 @@ def block(
     lines += [text for text in quality.get("corrected", []) if text.startswith(("The print", "The board"))]
     lines.append(f"Verdict: {verdict}")
     findings = quality.get("self_check", {}).get("findings", [])
-    lines += [f"  {text}" for text in merged([f"{f['text']}. {f['advice']}." for f in findings], list(rig.cameras))]
+    lines += [f"  {text}" for text in merged([_said(f, verdict) for f in findings], list(rig.cameras))]
     return _rows(rig, residuals), lines
+
+
+def _said(finding: dict[str, Any], verdict: Verdict) -> str:
+    """The cause and what to do; the cause only where the verdict has not named it."""
+    text, advice = f"{finding['text']}.", f"{finding['advice']}."
+    return advice if text in str(verdict) else f"{text} {advice}"
 
 
 def truth_beside(recording: Recording, rig: Rig) -> dict[str, Any] | None:

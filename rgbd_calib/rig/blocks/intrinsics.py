@@ -74,7 +74,15 @@ class IntrinsicsBlock(Block):
                 free[i, 8] &= own.params.free_k3 or prior.intrinsics.distortion[4] != 0
             assumed[i, :n] = prior.intrinsics_sd is None or prior.from_views
         information = np.diag(1 / np.maximum(sd.ravel(), _LEAST_SD) ** 2)
-        return BlockPrior(self.start().ravel(), information, free.ravel(), assumed.ravel())
+        return BlockPrior(self._mean().ravel(), information, free.ravel(), assumed.ravel())
+
+    def _mean(self) -> FloatArray:
+        """The start, but k3 of lenses that the recording itself determines: what few views made of it is no knowledge."""
+        mean = self.start()
+        for i, prior in enumerate(self.setup.priors):
+            if prior.from_views and prior.intrinsics.model == "opencv":
+                mean[i, 8:9] = 0.0
+        return mean
 
     def changes(self, look: Look) -> bool:
         return look.by_lens is not None

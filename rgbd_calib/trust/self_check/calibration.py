@@ -146,6 +146,7 @@ def check_bundle(
                 "frames": f"{f.first} to {f.last}",
                 "chi2": round(f.chi2, 2),
                 "dof": f.dof,
+                "others": round(f.others, 2),
                 "p": float(f"{f.p:.2g}"),
                 "moves_mm": round(f.moves_mm, 3),
             }

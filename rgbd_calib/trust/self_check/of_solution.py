@@ -9,6 +9,7 @@ import numpy as np
 from rgbd_calib.geometry.linear import BoolArray, IntArray, NormalEquations, assemble
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks import ESTIMATED, HELD, Block
+from rgbd_calib.rig.common_errors import common_gradients
 from rgbd_calib.rig.pose_rows import N_PARTS, part_of, through
 from rgbd_calib.rig.problem import OF_BOARDS, Problem, State
 from rgbd_calib.rig.solution import Solution
@@ -59,6 +60,9 @@ def equations_of(solution: Solution, held: Sequence[Block], frames: Sequence[str
         rows = problem.rows(state, views[some], metres)
         return assemble(problem.pattern, (own for _, _, own in rows))
 
+    def common(some: IntArray) -> FloatArray:
+        return common_gradients(solution.common, problem, state, base, views[some])
+
     eq = Equations(
         solution.cameras,
         obs.camera,
@@ -77,6 +81,7 @@ def equations_of(solution: Solution, held: Sequence[Block], frames: Sequence[str
         np.zeros(len(GROUPS)),
         part,
         part_in_metres,
+        common,
     )
     return eq.weighed()
 
