@@ -338,8 +338,8 @@ def view(frame: str, camera: str = "C1", shift: float = 0.0, depth: float = 2.0)
 
 
 def test_checks_without_equations():
-    assert check_votes([(("C1", "C2"), 10, 6)], True, PARAMS) == []
-    (found,) = check_votes([(("C1", "C2"), 10, 4)], False, PARAMS)
+    assert check_votes([(("C1", "C2"), 10, 6, None)], True, PARAMS) == []
+    (found,) = check_votes([(("C1", "C2"), 10, 4, None)], False, PARAMS)
     assert "only 4 of 10 common frames agree" in found.text
     assert "two_sided" in found.advice
     frames = [f"{k:03d}" for k in range(20)]

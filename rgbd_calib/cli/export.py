@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rgbd_calib.cli.options import OUTPUT, overwrite_option, refuse_existing, say
+from rgbd_calib.cli.options import OUTPUT, Number, overwrite_option, refuse_existing, say
 
 FORMATS = ("ros", "kalibr", "colmap", "nerfstudio", "open3d", "opencv", "json")
 
@@ -26,7 +26,7 @@ FORMATS = ("ros", "kalibr", "colmap", "nerfstudio", "open3d", "opencv", "json")
 )
 @click.option(
     "--max-px",
-    type=click.FloatRange(0),
+    type=Number(0),
     default=0.05,
     show_default=True,
     help="Largest deviation, px, of a lens that is refitted since the format does not have it.",

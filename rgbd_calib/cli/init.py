@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rgbd_calib.cli.options import board_options, json_option, overwrite_option, progress, say, show
+from rgbd_calib.cli.options import Number, board_options, json_option, overwrite_option, progress, say, show
 from rgbd_calib.cli.streams import give
 from rgbd_calib.errors import ConfigError
 
@@ -23,9 +24,7 @@ if TYPE_CHECKING:
 @click.command
 @click.argument("folder", type=click.Path(path_type=Path))
 @board_options
-@click.option(
-    "--depth-scale", type=click.FloatRange(1e-6, 1), metavar="M", help="Metres for each unit of depth, such as 0.001."
-)
+@click.option("--depth-scale", type=Number(1e-6, 1), metavar="M", help="Metres for each unit of depth, such as 0.001.")
 @click.option(
     "--registered/--unregistered",
     default=None,
@@ -200,6 +199,9 @@ def _ask(question: str, default: str) -> str:
 
 def _number(text: str, what: str) -> float:
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
-        raise ConfigError(f"{what}: {text[:40]!r} seen, a number of metres needed") from None
+        number = math.nan
+    if not math.isfinite(number):
+        raise ConfigError(f"{what}: a number of metres expected, {text[:40]!r} found. Type it as in 0.06")
+    return number

@@ -256,7 +256,7 @@ def _before(
         }
 
     return [
-        *check_votes([(p.cameras, p.frames, p.votes) for p in association.pairs], board.two_sided, params),
+        *check_votes([(p.cameras, p.frames, p.votes, p.cause) for p in association.pairs], board.two_sided, params),
         *check_dropped(found, by_camera(lost), frames_in_time, params),
         *check_dropped(found, by_camera(blind), frames_in_time, params, "The depth of "),
         *check_copies(views, sigma_px, params),
