@@ -10,6 +10,8 @@ import click
 from rgbd_calib.cli.options import (
     config_option,
     corners_option,
+    give,
+    json_option,
     output_option,
     overwrite_option,
     progress,
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
 @corners_option
 @config_option
 @workers_options
+@json_option
 @overwrite_option
 def command(
     recording: Path,
@@ -88,3 +91,19 @@ def command(
         if fit.dropped.any():
             say(f"{name}: {int(fit.dropped.sum())} distance(s) left out, too far from the curve")
     say(f"Wrote {output}")
+    give(
+        {
+            "output": str(output),
+            "cameras": {
+                name: {
+                    "coefficients": fit.bias.coefficients,
+                    "min_m": fit.bias.min_m,
+                    "max_m": fit.bias.max_m,
+                    "rms_m": fit.bias.rms_m,
+                    "distances": len(fit.z_m) - int(fit.dropped.sum()),
+                    "dropped": int(fit.dropped.sum()),
+                }
+                for name, fit in fits.items()
+            },
+        }
+    )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rgbd_calib.cli.options import OUTPUT, Number, overwrite_option, refuse_existing, say
+from rgbd_calib.cli.options import OUTPUT, Number, give, json_option, overwrite_option, refuse_existing, say
 
 FORMATS = ("ros", "kalibr", "colmap", "nerfstudio", "open3d", "opencv", "json")
 
@@ -31,6 +31,7 @@ FORMATS = ("ros", "kalibr", "colmap", "nerfstudio", "open3d", "opencv", "json")
     show_default=True,
     help="Largest deviation, px, of a lens that is refitted since the format does not have it.",
 )
+@json_option
 @overwrite_option
 def command(
     rig: Path, to: str, output: Path, undistorted: bool, image_name: str, max_px: float, overwrite: bool
@@ -66,3 +67,5 @@ def command(
     say(f"{to}: {', '.join(name for name in result.files if name) or output.name} -> {output}")
     for note in result.notes:
         say(f"  {note}")
+    files = [str(output / name) if name else str(output) for name in result.files]
+    give({"output": str(output), "format": to, "files": files, "notes": list(result.notes)})

@@ -8,6 +8,8 @@ import click
 
 from rgbd_calib.cli.options import (
     Number,
+    give,
+    json_option,
     output_option,
     overwrite_option,
     recording_argument,
@@ -42,6 +44,7 @@ VIEWS = ("front", "back", "left", "right", "top", "oblique")
 @click.option("--max-depth", "max_depth_m", type=Number(0, min_open=True), help="Leave out what is farther, metres.")
 @within_range_option
 @output_option("the cloud, a .ply file")
+@json_option
 @overwrite_option
 def command(
     recording: Path,
@@ -116,3 +119,15 @@ def command(
             picture = splat.render(points_m, colors, splat.viewpoint(view, poses, focus_m))
             write_picture(path, splat.with_legend(picture, shown))
             say(f"  seen from {view} -> {path}")
+    give(
+        {
+            "output": str(output),
+            "frame": frame,
+            "points": len(points_m),
+            "cameras": {
+                own.camera: {"points": len(own.points_m), "left_out": own.dropped, "outside_bias_data": own.outside}
+                for own in clouds
+            },
+            "pictures": {view: str(path) for view, path in pictures.items()},
+        }
+    )

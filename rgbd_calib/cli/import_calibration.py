@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import click
 
-from rgbd_calib.cli.options import output_option, overwrite_option, refuse_existing, say
+from rgbd_calib.cli.options import give, json_option, output_option, overwrite_option, refuse_existing, say
 from rgbd_calib.errors import ConfigError
 
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -20,6 +21,7 @@ UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 @click.option(
     "--unit", type=click.Choice(list(UNITS_M)), default="m", show_default=True, help="Of the files' translations."
 )
+@json_option
 @overwrite_option
 def command(
     files: tuple[str, ...], output: Path, rename: tuple[str, ...], size: str | None, unit: str, overwrite: bool
@@ -65,6 +67,21 @@ def command(
         parts = [lens, *(["pose"] if found.is_rig else []), *(["depth camera"] if camera.depth is not None else [])]
         say(f"{name}: {', '.join(parts)} (from {found.origins[name]})")
     say(f"Wrote {output}: {'a rig' if found.is_rig else 'intrinsics'} of {len(found.cameras)} cameras")
+    give(
+        {
+            "output": str(output),
+            "rig": found.is_rig,
+            "cameras": {
+                name: {
+                    "intrinsics": None if own.intrinsics is None else asdict(own.intrinsics),
+                    "depth_camera": own.depth is not None,
+                    "from": str(found.origins[name]),
+                }
+                for name, own in found.cameras.items()
+            },
+            "notes": list(found.notes),
+        }
+    )
 
 
 def _pair(text: str) -> tuple[str, str]:

@@ -11,6 +11,8 @@ import click
 from rgbd_calib.cli.options import (
     config_option,
     corners_option,
+    give,
+    json_option,
     output_option,
     overwrite_option,
     progress,
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
 @corners_option
 @config_option
 @workers_options
+@json_option
 @overwrite_option
 def command(
     recording: Path, output: Path, corners: Path | None, config: Path | None, workers: Workers, overwrite: bool
@@ -87,3 +90,19 @@ def command(
         for frame, why in result.dropped.items():
             say(f"{name}: frame {frame} left out: {why}")
     say(f"Wrote {output}")
+    give(
+        {
+            "output": str(output),
+            "cameras": {
+                name: {
+                    "intrinsics": asdict(result.intrinsics),
+                    "intrinsics_sd": result.standard_deviation,
+                    "rms_px": result.rms_px,
+                    "views": len(result.view_rms_px),
+                    "dropped": result.dropped,
+                    "not_needed": len(result.not_needed),
+                }
+                for name, result in results.items()
+            },
+        }
+    )

@@ -238,7 +238,7 @@ def _check_board(
     alone = len({frame for _, frame in images}) == len(images) and len(recording.cameras) > 1
     findings = doctor.check_exposure(images, measures, params)
     for own in color_plane_findings(recording, board, views):
-        findings.append(Finding(own.check, own.cameras, (), True, f"{own.text}. {own.advice}"))
+        findings.append(Finding("colour planes", own.cameras, (), True, f"{own.text}. {own.advice}"))
     shift_m: dict[Key, float] = {}
     unfit: dict[Key, str] = {}
     missed: dict[Key, tuple[float, bool]] = {}
