@@ -15,7 +15,7 @@ from pathlib import Path
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.camera_names import CAMERA, FRAME, TOKENS, name_cameras
-from rgbd_calib.io.frame_names import NUMBER
+from rgbd_calib.io.frame_names import NUMBER, order
 from rgbd_calib.io.images import DEPTH_SUFFIXES, SUFFIXES
 from rgbd_calib.io.layout import KINDS, FilePatterns, Kind, describe_unused, walk
 from rgbd_calib.io.schema_base import check_name
@@ -177,7 +177,7 @@ def find_streams(
             found[template][frame] = path
     streams, remarks = [], []
     for template, files in sorted(found.items()):
-        files = dict(sorted(files.items()))
+        files = dict(sorted(files.items(), key=lambda item: order(item[0])))
         seen = {files[frame]: look(root / files[frame]) for frame in _some(list(files))}
         looks, unread = set(seen.values()), [path for path, kind in seen.items() if kind is None]
         one = next(iter(looks))
