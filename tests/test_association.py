@@ -205,3 +205,18 @@ def test_a_board_with_a_second_face_that_is_not_stated_is_named():
     found = associate(posed(views, rig, board), board, "C1", list(rig.cameras))
     causes = [p.cause for p in found.pairs if p.cause]
     assert causes and all("two_sided: true" in c.advice for c in causes)
+
+
+@pytest.mark.parametrize("board", [BOARD, EVEN_BOARD, TWO_SIDED], ids=["odd", "even", "two-sided"])
+def test_images_that_are_mirrored_are_named(board):
+    """C2's images flipped left to right; the finder reads the mirrored print as the print, upside down."""
+    rig = arc(2)
+    _, views, _ = drawn(rig, board, 16, 1)
+    flip, of_board = np.diag([-1.0, 1, 1, 1]), np.diag([1.0, -1, 1, 1])
+    of_board[1, 3] = (board.rows - 1) * board.square_m
+    mirrored = [
+        replace(v, T_color_face=flip @ v.T_color_face @ of_board) if v.view.camera == "C2" else v
+        for v in posed(views, rig, board)
+    ]
+    with pytest.raises(CalibrationError, match=r"the images of C[12] are mirrored .*Switch mirroring off"):
+        associate(mirrored, board, "C1", list(rig.cameras))

@@ -186,6 +186,8 @@ def _unit(folder: Path, unknown: dict[str, str], asking: bool) -> float:
         for why in unknown.values():
             say(why)
         return _number(_ask(f"{', '.join(unknown)}: metres for each unit of depth", "0.001"), "depth scale")
+    if apart := next((why for why in unknown.values() if "does not follow" in why), None):
+        raise ConfigError(f"{folder}: {apart}")
     raise ConfigError(
         f"{folder}: the unit of the depth images of {', '.join(unknown)} is not known ({next(iter(unknown.values()))}). Give "
         "--depth-scale (0.001 for millimetres, 0.0002 for TUM's 5000 a metre), or --board and --square as measured"

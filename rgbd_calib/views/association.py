@@ -12,7 +12,7 @@ One frame's board may be read from either side: the choice of its first view is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -154,14 +154,39 @@ def _explained(
     pairs: list[PairVotes], views: Sequence[PosedView], board: Board, params: AssociationParams
 ) -> list[PairVotes]:
     """With the cause of few votes, where another description of the board has most frames agree."""
-    poor = {p.cameras for p in pairs if p.frames > 1 and p.votes < MIN_AGREEING * p.frames}
-    other = _other_board(board) if poor else None
-    if other is None:
-        return pairs
-    cause, motions = other
-    told = _vote(_by_frame([v for v in views if any(v.view.camera in pair for pair in poor)]), motions, params)
-    right = {p.cameras for p in told if p.votes > MIN_AGREEING * p.frames}
-    return [replace(p, cause=cause) if p.cameras in poor & right else p for p in pairs]
+    poor = {p.cameras for p in pairs if p.frames > 2 and p.votes < MIN_AGREEING * p.frames}
+    causes: dict[tuple[str, str], Cause] = {}
+    concerned = [v for v in views if any(v.view.camera in pair for pair in poor)]
+    for cause, read, motions in _other_readings(concerned, board):
+        told = _vote(_by_frame(read), motions, params)
+        causes |= {p.cameras: cause for p in told if p.cameras in poor and p.votes > MIN_AGREEING * p.frames}
+    return [replace(p, cause=causes.get(p.cameras)) for p in pairs]
+
+
+def _other_readings(
+    views: Sequence[PosedView], board: Board
+) -> Iterator[tuple[Cause, Sequence[PosedView], list[Motion]]]:
+    """What people have otherwise than stated, and the views and motions that would be right."""
+    for camera in sorted({v.view.camera for v in views}):
+        cause = Cause(
+            f"the images of {camera} are mirrored against those of the other camera",
+            f"Switch mirroring off where {camera} is recorded, or flip its colour and depth images left to right",
+        )
+        for axis in (0, 1):  # a mirrored print is read as the print again, by another corner
+            read = [
+                replace(v, T_color_face=_mirrored(v.T_color_face, board, axis)) if v.view.camera == camera else v
+                for v in views
+            ]
+            yield cause, read, _motions(board)
+    if (other := _other_board(board)) is not None:
+        yield other[0], views, other[1]
+
+
+def _mirrored(T_color_face: FloatArray, board: Board, axis: int) -> FloatArray:
+    """Pose of a face in the image flipped left to right, its corners in reverse order along one axis of the board."""
+    of_image, of_face = np.diag([-1.0, 1, 1, 1]), np.eye(4)
+    of_face[axis, axis], of_face[axis, 3] = -1, board.grid[-1][axis] * board.square_m
+    return np.asarray(of_image @ T_color_face @ of_face)
 
 
 def _other_board(board: Board) -> tuple[Cause, list[Motion]] | None:
