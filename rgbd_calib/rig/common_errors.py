@@ -71,7 +71,7 @@ def common_errors(problem: Problem, state: State, cov: Covariance) -> CommonErro
     """Estimate what residuals share at the minimum, from its equations."""
     sums, eq = _sums(problem, state, None), cov.equations
     n, total, in_pose, by_unit = sums.n, sums.total, sums.in_pose, sums.by_unit
-    K, P = sums.by_global.shape
+    P = sums.by_global.shape[1]
     reduced = _reduced(sums, eq)
     moved = reduced @ cov.of_globals  # A^-1 s_k
     absorbed = moved @ reduced.T + product(eq.unit_solved(by_unit.transpose(0, 2, 1)).transpose(0, 2, 1), by_unit)
