@@ -61,8 +61,9 @@ def test_clocks_by_a_known_rig(wave, timing):
 
 def test_the_recording_on_one_clock(run, wave, timing, tmp_path):
     folder, session = wave
-    outcome = run("sync", folder / "wave", "--apply", timing[0], "-o", tmp_path / "one")
+    outcome = run("sync", folder / "wave", "--apply", timing[0], "-o", tmp_path / "one", "--json")
     assert outcome.status == 0, outcome
+    assert json.loads(outcome.stdout)["apart_worst_ms"] <= 25.001
     recording = open_recording(tmp_path / "one")
     assert recording.synchronous
     n = 0

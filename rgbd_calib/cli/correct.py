@@ -35,6 +35,7 @@ from rgbd_calib.cli.options import (
 @within_range_option
 @jobs_option
 @output_option("the corrected recording, a folder")
+@json_option
 @overwrite_option
 @json_option
 def command(
@@ -67,12 +68,11 @@ def command(
     from rgbd_calib.io.files import whole_folder
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.io.rig import read_rig
-    from rgbd_calib.pipeline.correct import correct, refuse_inside
+    from rgbd_calib.pipeline.correct import correct
     from rgbd_calib.pipeline.rig_inputs import left_out
 
     rig = read_rig(rig_path)
     opened = open_recording(recording)
-    refuse_inside(recording, output)
     if left_out(opened, rig):
         say(left_out(opened, rig))
     with whole_folder(output, overwrite) as folder:

@@ -8,6 +8,7 @@ import click
 
 from rgbd_calib.cli.options import (
     OUTPUT,
+    Number,
     give,
     json_option,
     overwrite_option,
@@ -33,7 +34,7 @@ FORMATS = ("ros", "kalibr", "colmap", "nerfstudio", "open3d", "opencv", "json")
 )
 @click.option(
     "--max-px",
-    type=click.FloatRange(0),
+    type=Number(0),
     default=0.05,
     show_default=True,
     help="Largest deviation, px, of a lens that is refitted since the format does not have it.",

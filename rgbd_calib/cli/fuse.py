@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from rgbd_calib.cli.options import (
+    Number,
     give,
     json_option,
     output_option,
@@ -40,9 +41,7 @@ VIEWS = ("front", "back", "left", "right", "top", "oblique")
     multiple=True,
     help="Where the pictures are seen from; may be given again; implies --image.  [default: front, top]",
 )
-@click.option(
-    "--max-depth", "max_depth_m", type=click.FloatRange(0, min_open=True), help="Leave out what is farther, metres."
-)
+@click.option("--max-depth", "max_depth_m", type=Number(0, min_open=True), help="Leave out what is farther, metres.")
 @within_range_option
 @output_option("the cloud, a .ply file")
 @overwrite_option

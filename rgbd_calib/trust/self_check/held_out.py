@@ -29,6 +29,9 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.trust.self_check.equations import ALONE, Equations
 from rgbd_calib.trust.self_check.findings import Finding, SelfCheckParams
 
+UNTOUCHED = 1e-9
+"""Of a parameter's information: where the frames taken away have less, what they say of it is rounding."""
+
 
 @dataclass(frozen=True)
 class Deletion:
@@ -81,9 +84,11 @@ def delete(eq: Equations, gone: BoolArray) -> Deletion:
     h = g_gone + S_gone @ step
     shared = _common(eq, gone) * free + common @ S_gone
     variance = S_gone + excess(gone) + S_gone @ covariance @ S_gone + shared.T @ shared
-    scale = 1 / np.sqrt(np.maximum(np.diag(variance), 1e-300))
+    said = np.diag(S_gone) > UNTOUCHED * np.diag(S)
+    h, variance = h[said], variance[np.ix_(said, said)]
+    scale = 1 / np.sqrt(np.diag(variance))
     values, vectors = np.linalg.eigh(variance * np.outer(scale, scale))
-    kept = values > 1e-8 * values[-1]
+    kept = values > 1e-8 * values[-1] if len(values) else values > 0
     statistic = float(np.sum((vectors[:, kept].T @ (scale * h)) ** 2 / values[kept]))
     dof = int(kept.sum())
     return Deletion(step, covariance, common, statistic, dof, float(chi2.sf(statistic, dof)))
