@@ -89,8 +89,8 @@ def test_a_wall_is_a_plane():
     [
         (["--move", "C2:1,2,3,0,0,0"], "need --snapshot"),
         (["--snapshot", "--move", "C9:1,2,3,0,0,0"], "with a camera of C1, C2"),
-        (["--snapshot", "--move", "C2:1,2,3"], "6 numbers"),
-        (["--snapshot", "--warm-up", "1"], "2 numbers"),
+        (["--snapshot", "--move", "C2:1,2,3"], "6 finite numbers"),
+        (["--snapshot", "--warm-up", "1"], "2 finite numbers"),
     ],
 )
 def test_wrong_options_are_refused(run, tmp_path, options, words):

@@ -37,7 +37,6 @@ from rgbd_calib.cli.options import (
 @output_option("the corrected recording, a folder")
 @json_option
 @overwrite_option
-@json_option
 def command(
     recording: Path,
     rig_path: Path,
