@@ -54,7 +54,7 @@ def study(seed: int, cameras: int, args: argparse.Namespace) -> dict[str, Any]:
     params = WaveParams(
         seconds=args.seconds,
         rate_hz=args.rate,
-        offset_s=45.0,
+        offset_s=args.offset,
         lost=0.1,
         drift_ppm=args.drift,
         readout_s=args.readout,
@@ -124,6 +124,7 @@ def main() -> None:
     parser.add_argument("--cameras", type=int, nargs="+", default=[2, 4])
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--rate", type=float, default=30.0)
+    parser.add_argument("--offset", type=float, default=45.0, help="clocks are drawn from +- this, s")
     parser.add_argument("--drift", type=float, default=20.0)
     parser.add_argument("--readout", type=float, default=0.0)
     parser.add_argument("--jitter", type=float, default=0.0)

@@ -322,8 +322,7 @@ class Problem:
         scales = self.weights.scales(self.obs) if scales is None else scales
         for some, look in self.looks(state, views):
             w = scales[OF_BOARDS.index(look.kind)][some]
-            by_unit = state.boards.derivative(look)
-            yield some, look, self._rows(look, self.units_of(state, look), by_unit, w)
+            yield some, look, self._rows(look, self.units_of(state, look), state.boards.derivative(look), w)
 
     def wall_rows(self, state: State, cameras: Sequence[int]) -> Iterator[tuple[IntArray, Look, Rows]]:
         """Weighted rows of the walls of some cameras."""
@@ -379,16 +378,20 @@ class Problem:
 
     def equations(self, state: State, views: IntArray | None = None) -> NormalEquations:
         """The normal equations, priors included; of some views, or of all."""
-        gradient = self.prior.information @ (self.vector(state) - self.prior.mean)
-        units = self.unit_information * self.unit_vector(state)
-        data = self.data_equations(state, views).plus_units(self.unit_information, units)
-        return data.regular().plus(self.prior.information, gradient)
+        known, prior = self.unit_information, self.prior
+        data = self.data_equations(state, views).plus_units(known, known * self.unit_vector(state))
+        return self.eliminable(data, state).plus(
+            prior.information, prior.information @ (self.vector(state) - prior.mean)
+        )
+
+    def eliminable(self, data: NormalEquations, state: State, weight: float = 1.0) -> NormalEquations:
+        """Such that units can be eliminated; `weight` is of what else is known of them."""
+        return data.regular()
 
     def cost(self, state: State) -> float:
         """Half the weighted sum of squares."""
         d = self.vector(state) - self.prior.mean
-        pixel, depth = self.residuals(state)
-        w_pixel, w_depth = self.weights.scales(self.obs)
+        (pixel, depth), (w_pixel, w_depth) = self.residuals(state), self.weights.scales(self.obs)
         squares = np.sum((pixel * w_pixel[..., None]) ** 2) + np.sum((depth * w_depth) ** 2)
         squares += np.sum((self.wall_residuals(state) * self.weights.wall_scales(self.setup.walls)) ** 2)
         squares += np.sum(self.unit_information * self.unit_vector(state) ** 2)

@@ -9,6 +9,7 @@ import numpy as np
 
 from rgbd_calib.io.residuals import Residuals
 from rgbd_calib.rig.biobjective import RefinementResult
+from rgbd_calib.rig.motion.problem import MotionProblem
 from rgbd_calib.rig.solution import Solution
 from rgbd_calib.trust.self_check import (
     Equations,
@@ -98,7 +99,9 @@ def check_bundle(
     tests = outcomes_of(eq, solved.problem, held, params)
     errors, explained = findings_of(eq, tests, params, stated_mm)
     noise = noise_of_bundle(solved, eq)
-    motion = check_motion(eq, explained, {name: own.apart_px_mm for name, own in noise.items()}, errors, params)
+    carried = isinstance(solved.problem, MotionProblem)
+    apart_mm = {name: own.apart_px_mm for name, own in noise.items()}
+    motion = [] if carried else check_motion(eq, explained, apart_mm, errors, params)
     by_cameras = any(own.cameras for own in errors)  # then boards are wrong, and would be blamed on the walls
     wrong_walls = [] if by_cameras else check_walls(walls_of_bundle(solved), params)
     if motion:
@@ -120,6 +123,7 @@ def check_bundle(
             board,
             frames_in_time,
             params,
+            carried,
         ),
         *errors,
         *of_folds,
@@ -244,6 +248,7 @@ def _before(
     board: Board,
     frames_in_time: Sequence[str],
     params: SelfCheckParams,
+    carried: bool = False,
 ) -> list[Finding]:
     found: dict[str, int] = {}
     for view in views:
@@ -258,7 +263,7 @@ def _before(
         *check_votes([(p.cameras, p.frames, p.votes) for p in association.pairs], board.two_sided, params),
         *check_dropped(found, by_camera(lost), frames_in_time, params),
         *check_dropped(found, by_camera(blind), frames_in_time, params, "The depth of "),
-        *check_copies(views, sigma_px, params),
+        *([] if carried else check_copies(views, sigma_px, params)),  # of a video, neighbours are alike
         *check_clipped(views, params),
     ]
 

@@ -113,8 +113,9 @@ def _of(eq: Equations, own: IntArray) -> tuple[FloatArray, FloatArray, FloatArra
     rows, C = eq.rows, eq.plain.of_globals[own]
     step, plain = eq.step[0][own], C[:, own]
     low = rows.low_globals @ C.T  # Q' J C, (V, parts, k)
-    cross = eq.plain.cross(rows.units)[:, own]
-    low = low + np.einsum("vdi,vki->vdk", rows.low_unit, cross)
+    for k, units in enumerate(rows.units.T):
+        parts, cross = rows.kind == k, eq.plain.cross(units)[:, own]
+        low[:, parts] += rows.low_unit[:, parts] @ cross.transpose(0, 2, 1)
     if eq.taken:
         inverse, score, of_taken = eq.of_taken()
         reduced = np.concatenate([t.reduced for t in eq.taken], axis=1)
