@@ -328,18 +328,16 @@ class Problem:
         """Weighted rows of the walls of some cameras."""
         scales, F = self.weights.wall_scales(self.setup.walls), self.n_board_units
         for some, look, by_wall in self.looks_at_walls(state, cameras):
-            by_unit = np.zeros((*look.left.shape, self.unit_size))
-            by_unit[..., :3] = by_wall
+            by_unit = np.pad(by_wall, [(0, 0)] * 3 + [(0, self.unit_size - by_wall.shape[-1])])
             yield some, look, self._rows(look, F + some, by_unit, scales[some])
 
     def _rows(self, look: Look, units: IntArray, by_unit: FloatArray, w: FloatArray) -> Rows:
         dense = [b for b in self.blocks if b.changes(look) and not isinstance(b, PointBlock)]
         points = [b for b in self.blocks if b.changes(look) and isinstance(b, PointBlock)]
-        n, N, r = look.left.shape
-        w = w[..., None]
+        w, shape = w[..., None], look.left.shape
         J = np.concatenate([b.derivative(look) for b in dense], axis=-1)
         J *= w[..., None]
-        J_point = np.concatenate([np.zeros((n, N, r, 0)), *(b.derivative(look) for b in points)], axis=-1)
+        J_point = np.concatenate([np.zeros((*shape, 0)), *(b.derivative(look) for b in points)], axis=-1)
         at = [self.parts[b.name].start + b.point_columns(look) for b in points]
         return Rows(
             units,
@@ -347,7 +345,7 @@ class Problem:
             J,
             by_unit * w[..., None],
             look.left * w,
-            np.concatenate([np.zeros((n, N, 0), int), *at], axis=-1),
+            np.concatenate([np.zeros((*shape[:2], 0), int), *at], axis=-1),
             J_point * w[..., None],
         )
 

@@ -44,7 +44,8 @@ class ClockBlock(OfTime):
     over_time = Fault(
         "clock over time",
         lambda t: (
-            f"{t.camera}'s timestamps jumped by {-1e3 * t.estimate[0]:+.1f} ms at frame {t.frame}: the boards are {t.mm} off"
+            f"{t.camera}'s timestamps jumped by {-1e3 * t.estimate[0]:+.1f} ms against the other cameras' at frame {t.frame}: the "
+            f"boards are {t.mm} off"
         ),
         "The clock was set, frames were dropped without notice, or the timestamps are the host's. Record device timestamps, or cut "
         "the recording there",

@@ -9,6 +9,9 @@ import numpy as np
 from rgbd_calib.geometry.linear import BoolArray, IntArray, NormalEquations, assemble
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks import ESTIMATED, HELD, Block
+from rgbd_calib.rig.blocks.board_scale import BoardScale
+from rgbd_calib.rig.motion.problem import MotionProblem
+from rgbd_calib.rig.motion.scale import CarriedScale
 from rgbd_calib.rig.pose_rows import N_PARTS, part_of, through
 from rgbd_calib.rig.problem import OF_BOARDS, Problem, State
 from rgbd_calib.rig.solution import Solution
@@ -19,11 +22,13 @@ MAX_VIEWS = 800
 """Of more views, every second, third, ... frame is checked: the equations of 800 take some 100 MB."""
 GROUPS = np.concatenate([PIXEL_PARTS, PIXEL_PARTS.max() + 1 + DEPTH_PARTS])
 """What is alike in the pose part of a view, in the pixels and in the depth."""
+HELD_OF_CARRIED = tuple(CarriedScale if block is BoardScale else block for block in HELD)
 
 
 def held_blocks(problem: Problem) -> tuple[Block, ...]:
     """What the problem holds at zero: always, or because it was asked to."""
-    held = [block for block in (*HELD, *ESTIMATED) if block.held is not None and block.name not in problem.parts]
+    listed = HELD_OF_CARRIED if isinstance(problem, MotionProblem) else HELD
+    held = [block for block in (*listed, *ESTIMATED) if block.held is not None and block.name not in problem.parts]
     return tuple(block(problem.setup) for block in held)
 
 
