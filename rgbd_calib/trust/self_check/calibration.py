@@ -107,7 +107,8 @@ def check_bundle(
     if motion:
         errors = [*motion, *(own for own in errors if not own.cameras)]
     folds = hold_out(eq, params)
-    of_folds = held_out_findings(hold_out(explained, params), params, len(tests), stated_mm)
+    of_explained = folds if explained is eq else hold_out(explained, params)
+    of_folds = held_out_findings(of_explained, params, len(tests), stated_mm)
     dropped, used = solved.course.dropped, np.any(solved.problem.obs.has_pixel, axis=1).tolist()
     with_pixels = {(p.view.camera, p.view.frame) for p, v in zip(solved.course.views, used, strict=True) if v}
     blind = [key for key in dropped if key in with_pixels]

@@ -28,6 +28,9 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.trust.self_check.equations import ALONE, Equations
 from rgbd_calib.trust.self_check.findings import Finding, SelfCheckParams
 
+HELD_BY = 1e-4
+"""Information of a unit without rows, 1/rad^2 and 1/m^2: above the rounding of rows that were subtracted, some 1e-7, and 100 m."""
+
 
 @dataclass(frozen=True)
 class Deletion:
@@ -95,7 +98,7 @@ def _without(eq: Equations, gone: BoolArray) -> NormalEquations:
     part = eq.part(np.flatnonzero(gone))
     emptied = np.setdiff1d(units[gone], units[~gone])
     V = base.V - part.V
-    V[emptied] += np.eye(base.pattern.size)
+    V[emptied] += HELD_BY * np.eye(base.pattern.size)
     return replace(
         base,
         U=base.U - part.U,
