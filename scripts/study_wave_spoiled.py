@@ -72,7 +72,7 @@ def refocused(scene: Scene, film: Film) -> WaveSession:
 
 
 def wrong_square(scene: Scene, film: Film) -> WaveSession:
-    return film(scene, replace(scene.board, square_m=1.015 * scene.board.square_m, shape=None))
+    return film(scene, replace(scene.board, square_m=1.05 * scene.board.square_m, shape=None))
 
 
 def clock_jumps(scene: Scene, film: Film) -> WaveSession:
@@ -93,7 +93,6 @@ def depth_drifts(scene: Scene, film: Film) -> WaveSession:
 
 
 def depth_scaled(scene: Scene, film: Film) -> WaveSession:
-    """In half of the range: no factor, and no field."""
     session = film(scene, None)
 
     def change(v: BoardView) -> BoardView:
@@ -144,7 +143,7 @@ KINDS: Mapping[str, Callable[[Scene, Film], WaveSession]] = {
     "none": lambda scene, film: film(scene, None),
     "camera moved half-way": moved,
     "lens refocused half-way": refocused,
-    "square stated 1.5 % too large": wrong_square,
+    "square stated 5 % too large": wrong_square,
     "clock jumps by 12 ms half-way": clock_jumps,
     "depth offset +12 mm half-way": depth_drifts,
     "depth of one camera 2 % too long": depth_scaled,
