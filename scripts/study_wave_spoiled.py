@@ -121,9 +121,9 @@ def odd_lens(scene: Scene, film: Film) -> WaveSession:
     K = scene.rig.cameras[SPOILED].intrinsics
 
     def change(v: BoardView) -> BoardView:
-        x, y = (v.pixels_px / [K.width, K.height] * 2 - 1).T
+        x, y = (v.corners_px / [K.width, K.height] * 2 - 1).T
         return (
-            replace(v, pixels_px=v.pixels_px + np.column_stack([x**3 * y, x * y**3 - x**2]))
+            replace(v, corners_px=v.corners_px + np.column_stack([x**3 * y, x * y**3 - x**2]))
             if v.camera == SPOILED
             else v
         )
