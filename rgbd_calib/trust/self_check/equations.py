@@ -164,12 +164,11 @@ class Equations:
         x = -self.plain.of_globals @ self.base.reduced_gradient
         return x, self.base.units_after(x)
 
-    @property
-    def dof(self) -> int:
-        """Degrees of freedom of one variance of the pose parts: views, less what boards and cameras absorb of them."""
-        left = pose_residuals(self)[1]
-        own = left[:, self.groups == self.groups[0]]
-        return max(round(float(own.sum()) / own.shape[1]), 1)
+    @cached_property
+    def dof(self) -> FloatArray:
+        """(K,), degrees of freedom of the variance of one pose part of a kind: views, less what boards and cameras absorb."""
+        left, kind = pose_residuals(self)[1], self.rows.kind
+        return np.array([max(float(left[:, kind == k].sum(axis=0).mean()), 1.0) for k in np.unique(kind)])
 
     def project(self, columns: IntArray, where: BoolArray) -> Projected:
         """The errors `columns` (q,) of the views `where` (V,), before what was taken into the model."""

@@ -64,12 +64,14 @@ class Hypothesis:
         variances of pose parts rest on few views, those of single corners on many: the degrees of freedom are those of
         the mixture (F. Satterthwaite, Biometrics Bulletin 2(6), 1946).
         """
-        score = self.test(replace(eq, excess=self.accepted(eq).excess))
+        excess, kind = self.accepted(eq).excess, eq.rows.kind
+        score = self.test(replace(eq, excess=excess))
         if not score.dof:
             return score
-        without = self.test(replace(eq, excess=np.zeros_like(eq.excess)))
-        share = 1 - float(np.trace(without.covariance) / np.trace(score.covariance))
-        dof = eq.dof / max(share, 1e-3) ** 2
+        total = float(np.trace(score.covariance))
+        without = [self.test(replace(eq, excess=np.where(kind == k, 0.0, excess))) for k in range(len(eq.dof))]
+        shares = np.array([1 - float(np.trace(own.covariance)) / total for own in without])
+        dof = 1 / max(float(np.sum(shares**2 / eq.dof)), 1e-6)
         return replace(score, p=float(f.sf(score.statistic / score.dof, score.dof, dof)))
 
     def _known(self, eq: Equations) -> tuple[IntArray, IntArray]:
