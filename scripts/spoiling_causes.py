@@ -12,7 +12,7 @@ CAUSES = {
     "two_sided not stated": "agree on the relative pose",
     "thickness stated 5 mm too small": "faces are",
     "a second board in view": "do not fit the rest|agree on the relative pose",
-    "columns and rows exchanged": "agree on the relative pose",
+    "columns and rows exchanged": "cols and rows are exchanged",
     "one row too few stated": "no frame has the name of another|too few views",
     "cameras swapped in the intrinsic recording": "C2's intrinsics .*differ",
     "cameras swapped in the rig's recording": "C2's intrinsics .*differ",

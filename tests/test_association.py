@@ -186,3 +186,37 @@ def test_one_common_view_of_an_odd_board_is_enough():
     _, views, _ = drawn(rig, BOARD, 1, 0)
     result = associate(posed(views, rig, BOARD), BOARD, "C1", list(rig.cameras))
     check_rough(result, rig)
+
+
+def test_a_back_that_is_read_by_another_corner_is_named():
+    """cols and rows exchanged, or the back glued upside down: cameras that see opposite faces agree in no frame."""
+    rig = around([-50.0, 50.0])
+    _, views, _ = drawn(rig, TWO_SIDED, 40, 0)
+    truth = {(p.view.camera, p.view.frame): p for p in true_choices(rig, *drawn(rig, TWO_SIDED, 40, 0)[:2], TWO_SIDED)}
+    upside = [replace(v, ids=TWO_SIDED.n_corners - 1 - v.ids) if truth[v.camera, v.frame].back else v for v in views]
+    with pytest.raises(CalibrationError, match=r"back's corners are rotated by 180.*Exchange cols and rows"):
+        associate(posed(upside, rig, TWO_SIDED), TWO_SIDED, "C1", list(rig.cameras))
+
+
+def test_a_board_with_a_second_face_that_is_not_stated_is_named():
+    rig = ring(4)
+    _, views, _ = drawn(rig, TWO_SIDED, 16, 1)
+    board = replace(TWO_SIDED, two_sided=False, thickness_m=0.0)
+    found = associate(posed(views, rig, board), board, "C1", list(rig.cameras))
+    causes = [p.cause for p in found.pairs if p.cause]
+    assert causes and all("two_sided: true" in c.advice for c in causes)
+
+
+@pytest.mark.parametrize("board", [BOARD, EVEN_BOARD, TWO_SIDED], ids=["odd", "even", "two-sided"])
+def test_images_that_are_mirrored_are_named(board):
+    """C2's images flipped left to right; the finder reads the mirrored print as the print, upside down."""
+    rig = arc(2)
+    _, views, _ = drawn(rig, board, 16, 1)
+    flip, of_board = np.diag([-1.0, 1, 1, 1]), np.diag([1.0, -1, 1, 1])
+    of_board[1, 3] = (board.rows - 1) * board.square_m
+    mirrored = [
+        replace(v, T_color_face=flip @ v.T_color_face @ of_board) if v.view.camera == "C2" else v
+        for v in posed(views, rig, board)
+    ]
+    with pytest.raises(CalibrationError, match=r"the images of C[12] are mirrored .*Switch mirroring off"):
+        associate(mirrored, board, "C1", list(rig.cameras))

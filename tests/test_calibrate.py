@@ -262,6 +262,8 @@ def check_realsense(rig: dict) -> None:
     assert not rig["quality"]["dropped"]
     assert len(rig["boards"]) == 15
     assert rig["quality"]["alignment_on_recording"]["all"]["median_mm"] < 3.5
+    # frames 001 to 004 are all that tie cam0 to cam1: without them the rig is loose, which is no other rig
+    assert rig["quality"]["self_check"]["trusted"], rig["quality"]["self_check"]["findings"]
 
 
 def test_realsense3(run, real_data, realsense_corners, tmp_path):

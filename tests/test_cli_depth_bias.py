@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from synthetic_views import BOARD, arc, bias_of, make_recording
@@ -91,3 +93,12 @@ def test_from_the_board(run, tmp_path):
         off = bias.correct(biased(z, bias_of(i))) - z
         # as above; a board's distance by pixels is sure to 0.1 px / sqrt(54) of 130 px, 0.2 mm at 2 m
         assert np.all(np.abs(off) < 5 * bias.standard_error(z) + 1e-3)
+
+
+def test_results_as_json(run, wall, tmp_path):
+    out = run("depth-bias", wall, "-o", tmp_path / "bias.yaml", "--json")
+    numbers = json.loads(out.stdout)
+    for name, bias in read_depth_bias(tmp_path / "bias.yaml").items():
+        own = numbers["cameras"][name]
+        np.testing.assert_allclose(own["coefficients"], bias.coefficients, rtol=1e-4, atol=1e-6)
+        assert own["distances"] == 6 and own["left_out"] == 0

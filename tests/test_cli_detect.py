@@ -1,5 +1,7 @@
 """`rgbd-calib detect`: the table, what it says, and when it refuses."""
 
+import json
+
 import numpy as np
 import pytest
 from small_recording import draw_recording
@@ -40,3 +42,9 @@ def test_a_recording_without_its_board_is_the_datas_fault(run, tmp_path):
     outcome = run("detect", tmp_path, "-o", tmp_path / "corners.csv")
     assert outcome.status == 1 and "found in none of 1 images" in outcome.stderr
     assert not (tmp_path / "corners.csv").exists()
+
+
+def test_results_as_json(run, recording, tmp_path):
+    outcome = run("detect", recording, "-o", tmp_path / "corners.csv", "--json")
+    own = {"images": 2, "views": 2, "corners": 108, "corners_with_depth": 108, "not_found": []}
+    assert json.loads(outcome.stdout)["cameras"] == {"C1": own, "C2": own}

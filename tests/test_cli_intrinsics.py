@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -112,3 +113,12 @@ def test_the_bundle_uses_the_close_views_too(close, tmp_path):
     for name, own in close.rig.cameras.items():
         off_px = np.abs(result.rig.cameras[name].intrinsics.vector - own.intrinsics.vector)[:4]
         assert np.all(off_px < 5 * 0.001 * own.intrinsics.fx)  # 10 close views give 0.5 px of 540: 0.1 %
+
+
+def test_results_as_json(run, close, tmp_path):
+    out = run("intrinsics", close.path, "--corners", close.corners, "-o", tmp_path / "i.yaml", "--json")
+    numbers = json.loads(out.stdout)
+    for name, lens in read_intrinsics(tmp_path / "i.yaml").items():
+        own = numbers["cameras"][name]
+        assert own["intrinsics"]["fx"] == pytest.approx(lens.fx, abs=1e-3) and own["views"] == 10
+        assert len(own["sd"]) == 9 and own["dropped"] == {}

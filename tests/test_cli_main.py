@@ -3,6 +3,9 @@
 import subprocess
 import sys
 
+import click
+import pytest
+
 from rgbd_calib.cli.main import COMMANDS
 from rgbd_calib.pipeline.summary import merged
 
@@ -61,3 +64,28 @@ def test_help_imports_nothing_heavy():
     )
     out = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert out.stderr.strip() == "[]"
+
+
+def test_every_number_among_the_options_is_finite():
+    """inf is larger than every limit, and nan is within every range."""
+    from rgbd_calib.cli.main import cli
+    from rgbd_calib.cli.options import Number
+
+    seen = 0
+    for name in cli.list_commands(click.Context(cli)):
+        command = cli.get_command(click.Context(cli), name)
+        for param in command.params:
+            if isinstance(param.type, click.types.FloatParamType):
+                assert isinstance(param.type, Number), f"{name} {param.opts}"
+                seen += 1
+    assert seen > 30
+    for text in ("nan", "inf", "-inf"):
+        with pytest.raises(click.BadParameter):
+            Number().convert(text, None, None)
+
+
+@pytest.mark.parametrize("limit", ["inf", "nan", "1e9"])
+def test_verify_has_no_limit_that_everything_passes(run, limit):
+    out = run("verify", "rig.yaml", "new", "--max-mm", limit)
+    assert out.status == 2
+    assert "--max-mm" in out.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 
 import numpy as np
@@ -60,8 +61,9 @@ def test_clocks_by_a_known_rig(wave, timing):
 
 def test_the_recording_on_one_clock(run, wave, timing, tmp_path):
     folder, session = wave
-    outcome = run("sync", folder / "wave", "--apply", timing[0], "-o", tmp_path / "one")
+    outcome = run("sync", folder / "wave", "--apply", timing[0], "-o", tmp_path / "one", "--json")
     assert outcome.status == 0, outcome
+    assert json.loads(outcome.stdout)["apart_worst_ms"] <= 25.001
     recording = open_recording(tmp_path / "one")
     assert recording.synchronous
     n = 0
@@ -165,3 +167,19 @@ def test_calibrate_finds_rig_and_clocks_of_a_carried_board(run, wave, tmp_path):
     _, clocks = read_timing(path)
     for c, truth in session.clocks.items():
         assert abs(clocks[c].offset_s - truth.offset_s) <= 4 * clocks[c].offset_sd_s < 0.002
+
+
+def test_results_as_json(run, wave, timing, tmp_path, monkeypatch):
+    import rgbd_calib.pipeline.sync
+
+    folder, _ = wave
+    applied = run("sync", folder / "wave", "--apply", timing[0], "-o", tmp_path / "one", "--json")
+    numbers = json.loads(applied.stdout)
+    assert numbers["sets"] == len(open_recording(tmp_path / "one").frames)
+    assert 0 < numbers["apart_rms_ms"] <= numbers["apart_worst_ms"] <= 25.001
+    monkeypatch.setattr(rgbd_calib.pipeline.sync, "sync", lambda *_: timing[1])  # estimated once for all these tests
+    corners = ("--corners", folder / "wave.csv")
+    found = run("sync", folder / "wave", "--rig", folder / "rig.yaml", *corners, "-o", tmp_path / "t.yaml", "--json")
+    numbers = json.loads(found.stdout)
+    assert numbers["reference"] == "C1" and numbers["views_used"] == timing[1].views
+    assert numbers["clocks"]["C2"]["offset_s"] == timing[1].clocks["C2"].offset_s

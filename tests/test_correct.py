@@ -196,7 +196,7 @@ def test_a_damaged_image_leaves_nothing(run, tiny, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("where", "why"), [("in", "is also the input"), ("in/out", "lies in the recording"), (".", "holds the input")]
+    ("where", "why"), [("in", "is also the input"), ("in/out", "lies in the input"), (".", "holds the input")]
 )
 def test_the_recording_itself_is_never_replaced(run, tiny, tmp_path, where, why):
     shutil.copytree(tiny.recording, tmp_path / "in")

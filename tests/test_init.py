@@ -99,6 +99,26 @@ LAYOUTS = {
         ("{camera}/img{frame}.bmp", None, None),
         ("cam1", "cam2", "cam3"),
     ),
+    "a grey camera beside a coloured one": (
+        {
+            f"C{c}/{k}/{i}.png": ("grey 8" if c == 1 else "color") if k == "color" else "grey 16"
+            for c in (1, 2)
+            for i in range(5)
+            for k in ("color", "depth")
+        },
+        ("{camera}/color/{frame}.png", "{camera}/depth/{frame}.png", None),
+        ("C1", "C2"),
+    ),
+    "suffixes of one format in several cases": (
+        {
+            f"C{c}/{k}/IMG_{i}{s}": p
+            for c in (1, 2)
+            for i, s in enumerate((".JPG", ".jpeg", ".Jpg", ".jpg"))
+            for k, p in (("Color", "color"),)
+        },
+        ("{camera}/Color/IMG_{frame}.*", None, None),
+        ("C1", "C2"),
+    ),
     "no separators": (
         names("{k}C{c}_{i}.png", (1, 2), color="color", depth="grey 16"),
         ("colorC{camera}_{frame}.png", "depthC{camera}_{frame}.png", None),
@@ -570,3 +590,24 @@ def test_what_was_found_and_imported_as_json(run, drawn, tmp_path):
     assert described["frames_together"] == 10 and any("0.001 m for each unit" in r for r in described["remarks"])
     written = json.loads(run("import", folder, "-o", tmp_path / "r", "--json").stdout)
     assert written["frames"] == 10 and written["images"]["C2"] == {"color": 10, "depth": 10, "ir": 0}
+
+
+@pytest.mark.parametrize("kind", ["mirrored", "of other frames", "disparity"])
+def test_depth_that_does_not_follow_the_board_is_no_unit(run, drawn, tmp_path, kind):
+    """No --depth-scale mends these."""
+    recording = open_recording(drawn)
+    for camera in recording.cameras:
+        for i, frame in enumerate(recording.frames):
+            other = recording.frames[(i + 2) % len(recording.frames)] if kind == "of other frames" else frame
+            depth = cv2.imread(str(recording.depth_files[camera][other]), cv2.IMREAD_UNCHANGED)
+            if kind == "mirrored":
+                depth = np.ascontiguousarray(depth[:, ::-1])
+            if kind == "disparity":
+                depth = np.where(depth > 0, 4e7 / np.maximum(depth, 700.0), 0).astype(np.uint16)
+            for name, image in (("color", recording.color(camera, frame)), ("depth", depth)):
+                path = tmp_path / "in" / camera / name / f"{frame}.png"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                cv2.imwrite(str(path), image)
+    out = run("init", tmp_path / "in", "--board", "9x6", "--square", "0.06", "--yes")
+    assert out.status == 2
+    assert "depth does not follow the board" in out.stderr and "look at a pair" in out.stderr

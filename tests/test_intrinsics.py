@@ -17,14 +17,21 @@ LENS = lens_of(1)
 SIGMA_PX = 0.1
 
 
-def close_views(rng: np.random.Generator, n: int, max_tilt_rad: float = 0.6, z_m: tuple[float, float] = (0.6, 1.1)):
-    """Views of a board whose middle is anywhere in the image."""
+def close_views(
+    rng: np.random.Generator,
+    n: int,
+    max_tilt_rad: float = 0.6,
+    z_m: tuple[float, float] = (0.6, 1.1),
+    lens: camera.Intrinsics = LENS,
+    spread: float = 1.0,
+):
+    """Views of a board whose middle is anywhere in the image; `spread` is larger where the lens is wider."""
     views, middle = [], BOARD.corners_m().mean(axis=0)
     while len(views) < n:
         R = so3.exp(rng.uniform(-max_tilt_rad, max_tilt_rad, 3) * [1, 1, 0.3])
-        at = np.array([rng.uniform(-0.4, 0.4), rng.uniform(-0.3, 0.3), 1.0]) * rng.uniform(*z_m)
+        at = np.array([*(spread * rng.uniform([-0.4, -0.3], [0.4, 0.3])), 1.0]) * rng.uniform(*z_m)
         p = se3.transform(se3.make(R, at - R @ middle), BOARD.corners_m())
-        px = camera.project(LENS.vector, p)
+        px = lens.project(p)
         if np.all((px > 5) & (px < [WIDTH - 6, HEIGHT - 6])):
             px = px + rng.normal(0, SIGMA_PX, px.shape)
             k = BOARD.n_corners

@@ -177,9 +177,9 @@ def test_an_image_of_a_recording_of_another_layout_is_not_replaced(tmp_path):
     refuse_input(tmp_path / "rgb_C1_0002.jpg", [tmp_path])  # not there: nothing is lost
 
 
-@pytest.mark.parametrize("where", ["in", ".", "linked"])
-def test_a_folder_that_is_or_holds_an_input_is_refused(run, tiny, tmp_path, where):
-    """A recording, the folder around it, or one that links of the recording lead into."""
+@pytest.mark.parametrize("where", ["in", ".", "linked", "in/out"])
+def test_a_folder_that_is_in_or_holds_an_input_is_refused(run, tiny, tmp_path, where):
+    """A recording, the folder around it, one that links of the recording lead into, or one inside it."""
     write(tmp_path / "linked", a="1")
     recording = tmp_path / "in"
     with whole_folder(recording) as made:
@@ -195,7 +195,7 @@ def test_a_folder_that_is_or_holds_an_input_is_refused(run, tiny, tmp_path, wher
 def test_import_does_not_replace_what_it_reads(run, tmp_path):
     (tmp_path / "tum").mkdir()
     (tmp_path / "tum" / "rgb.txt").write_text("1.0 rgb/0.png\n")
-    for output in (tmp_path / "tum", tmp_path):
+    for output in (tmp_path / "tum", tmp_path, tmp_path / "tum" / "out" / "new"):
         outcome = run("import", tmp_path / "tum", "-o", output, "--overwrite")
         assert outcome.status == 2 and "input" in outcome.stderr
     assert tree(tmp_path) == ["tum", "tum/rgb.txt"]

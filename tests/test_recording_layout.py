@@ -414,6 +414,15 @@ def shift_frames(path: Path, camera: str) -> None:
         image.rename(image.with_name(f"{100000 + int(image.stem):06d}.png"))
 
 
+def test_frames_are_in_the_order_of_their_numbers(tmp_path):
+    """9 before 10: checks over time go by it."""
+    for stem in ("10", "9", "2", "11"):
+        save_color(tmp_path, "C1", stem, np.zeros((48, 64, 3), np.uint8))
+    write_dataset(tmp_path, {"C1": CameraInfo(64, 48)}, None)
+    recording = open_recording(tmp_path)
+    assert recording.frames == ("2", "9", "10", "11") == tuple(recording.color_files["C1"])
+
+
 def test_frames_that_never_have_the_same_name(run, tmp_path):
     path = draw_recording(tmp_path / "drawn", 2, 3)
     shift_frames(path, "C2")

@@ -33,6 +33,7 @@ from rgbd_calib.trust.self_check import (
     delete,
     findings_of,
     group_ratios,
+    hold_out,
     outcomes_of,
     score_test,
 )
@@ -105,7 +106,7 @@ def dense_problem(seed: int, excess: float = 0.0) -> tuple[Equations, np.ndarray
     eq = Equations(
         ("C1", "C2"), camera, frame, np.ones(VIEWS, bool), tuple("01234"), {"extra": slice(0, 2)}, rows,
         base.covariance(free), prior, gradient, free, np.full(VIEWS, ROWS), np.ones(VIEWS), np.zeros(2, int),
-        np.full(2, excess), part, part,
+        np.full(2, excess), part, part, lambda views: np.zeros((0, P)),
     )  # fmt: skip
     return eq, J_all, r, A, sigma
 
@@ -196,6 +197,26 @@ def test_a_frame_taken_away_by_formula_and_in_truth(seed, taken):
     np.testing.assert_allclose(held.covariance, np.linalg.pinv(seen)[np.ix_(own, own)], rtol=1e-6)
 
 
+def test_what_errors_of_all_views_move_the_solution_without_a_frame_by():
+    """Three errors, each a number added to the same rows of every view, against the dense solution without the frames."""
+    eq, J, _, _, _ = dense_problem(3)
+    shared = np.tile(np.random.default_rng(4).normal(size=(3, ROWS)), VIEWS)  # (3, N)
+    of_globals, of_units = J[:-GLOBALS, :GLOBALS], J[:-GLOBALS, GLOBALS:]
+
+    def reduced(views):
+        rows = np.repeat(np.isin(np.arange(VIEWS), views), ROWS)
+        own = np.where(rows, shared, 0.0)
+        return own @ of_globals - own @ of_units @ np.linalg.pinv(of_units.T @ of_units) @ of_units.T @ of_globals
+
+    gone = np.isin(np.arange(VIEWS) % BOARDS, [1, 4])
+    held = delete(replace(eq, common=reduced), gone)
+    keep = np.concatenate([np.repeat(~gone, ROWS), np.ones(GLOBALS, bool)])
+    added = np.concatenate([shared, np.zeros((3, GLOBALS))], axis=1)[:, keep]
+    moved = np.linalg.lstsq(J[keep], -added.T, rcond=None)[0][:GLOBALS].T
+    np.testing.assert_allclose(held.common, moved, rtol=1e-6, atol=1e-12)
+    assert held.statistic < delete(eq, gone).statistic  # more is allowed
+
+
 NOISE = ViewNoise(0.1, 0.7e-3, 0.0)
 BIAS_SD = np.diag([1e-3, 1e-3, 5e-4]) ** 2
 
@@ -262,6 +283,20 @@ def test_nothing_is_said_of_good_recordings():
     assert np.mean(ratios) == pytest.approx(1.0, abs=5 * np.sqrt(2 / 4 / (6 * 30)))
 
 
+def test_parts_that_are_held_out_of_a_sound_recording_fit_and_say_it_in_all_their_numbers():
+    """One camera is not in the first part: what that part says of it is nothing, and no rounding becomes a statistic."""
+
+    def without_c3(views, rng):
+        return [v for v in views if v.camera != "C3" or v.frame > "000003"]
+
+    result, frames = solved(sv.arc(3, biased=True), 2, frames=16, change=without_c3)
+    held = hold_out(equations_of(result, held_blocks(result.problem), frames), PARAMS)
+    assert len(held) == PARAMS.folds
+    for part in held:
+        assert part.dof > 60, part  # corners of four boards and what they say of lenses and depth
+        assert 0.5 < part.chi2 / part.dof < 2, part
+
+
 def moved_from(views, frame: str, camera: str, change):
     return [change(v) if v.camera == camera and v.frame >= frame else v for v in views]
 
@@ -318,8 +353,8 @@ def view(frame: str, camera: str = "C1", shift: float = 0.0, depth: float = 2.0)
 
 
 def test_checks_without_equations():
-    assert check_votes([(("C1", "C2"), 10, 6)], True, PARAMS) == []
-    (found,) = check_votes([(("C1", "C2"), 10, 4)], False, PARAMS)
+    assert check_votes([(("C1", "C2"), 10, 6, None)], True, PARAMS) == []
+    (found,) = check_votes([(("C1", "C2"), 10, 4, None)], False, PARAMS)
     assert "only 4 of 10 common frames agree" in found.text
     assert "two_sided" in found.advice
     frames = [f"{k:03d}" for k in range(20)]
@@ -363,6 +398,9 @@ def test_strict_exits_with_one_and_the_rig_is_there(run, wrong_square, tmp_path)
     assert out.status == 1
     assert "Do not trust this" in out.stderr
     assert "Measure the print" in out.stderr
+    lines = out.stderr.splitlines()
+    cause = next(line for line in lines if "Do not trust this" in line).split("Do not trust this. ")[1]
+    assert out.stderr.count(cause) == 1
     rig = read_rig(tmp_path / "rig.yaml")
     assert rig.quality["self_check"]["trusted"] is False
     assert any(f["level"] == "distrust" for f in rig.quality["self_check"]["findings"])

@@ -10,14 +10,14 @@ import pytest
 
 from rgbd_calib.cli.options import progress
 from rgbd_calib.geometry import se3
-from rgbd_calib.geometry.camera import Intrinsics, fold_radius
+from rgbd_calib.geometry.camera import LENS_KINDS, Intrinsics, fold_radius
 from rgbd_calib.io.files import load_yaml
 from rgbd_calib.io.rig import read_boards, read_rig
 from rgbd_calib.io.schema_parts import BoardShapeModel, DepthCameraModel
 from rgbd_calib.simulation.color_sensor import ColorNoise, Optics, develop
 from rgbd_calib.simulation.depth_field import reported, stereo
 from rgbd_calib.simulation.depth_sensor import STEREO
-from rgbd_calib.simulation.lenses import DEPTH_SIZES, LENS_KINDS, color_lens, depth_camera
+from rgbd_calib.simulation.lenses import DEPTH_SIZES, color_lens, depth_camera
 from rgbd_calib.simulation.poses import looks_at_back
 from rgbd_calib.simulation.realism import IDEAL, Realism
 from rgbd_calib.simulation.recording import SimulationParams, simulate

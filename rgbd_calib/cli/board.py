@@ -7,16 +7,14 @@ from pathlib import Path
 
 import click
 
-from rgbd_calib.cli.options import output_option, overwrite_option, refuse_existing, say, show
+from rgbd_calib.cli.options import Number, output_option, overwrite_option, refuse_existing, say, show
 from rgbd_calib.errors import ConfigError
 
 
 @click.command
 @click.option("--cols", type=click.IntRange(2, 200), default=9, show_default=True, help="Inner corners in a row.")
 @click.option("--rows", type=click.IntRange(2, 200), default=6, show_default=True, help="Inner corners in a column.")
-@click.option(
-    "--square", "square_m", type=click.FloatRange(0, min_open=True), required=True, help="Side of a square, metres."
-)
+@click.option("--square", "square_m", type=Number(0, min_open=True), required=True, help="Side of a square, metres.")
 @click.option(
     "--type",
     "kind",
@@ -27,7 +25,7 @@ from rgbd_calib.errors import ConfigError
 @click.option(
     "--marker",
     "marker_m",
-    type=float,
+    type=Number(),
     help="Side of a marker, metres.  [default: 0.75 squares; AprilGrid: squares / 0.65]",
 )
 @click.option("--dictionary", help="Of the markers, as OpenCV names it.  [default: DICT_5X5_250, DICT_APRILTAG_36h11]")
@@ -35,7 +33,7 @@ from rgbd_calib.errors import ConfigError
 @click.option(
     "--thickness",
     "thickness_m",
-    type=click.FloatRange(0),
+    type=Number(0),
     default=0.0,
     help="Of a two-sided board, metres, for the numbers printed on it.",
 )

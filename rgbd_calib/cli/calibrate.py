@@ -13,6 +13,7 @@ from rgbd_calib.cli.options import (
     corners_option,
     give,
     json_option,
+    lens_option,
     method_options,
     output_option,
     overwrite_option,
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     help="depth_bias.yaml, or a recording of a wall at known distances.  [default: none]",
 )
 @corners_option
+@lens_option
 @method_options(("init", "ba", "icp", "baicp+", "biobjective", "bundle"))
 @click.option(
     "--correspondences",
@@ -85,6 +87,7 @@ def command(
     intrinsics: Path | None,
     depth_bias: Path | None,
     corners: Path | None,
+    lens: str | None,
     method: str | None,
     sigma_2d: float | None,
     sigma_3d: float | None,
@@ -154,6 +157,8 @@ def command(
             raise click.UsageError(
                 "--report goes without --update; afterwards `rgbd-calib report RIG -o DIR` writes it"
             )
+        if lens is not None:
+            raise click.UsageError("--lens goes without --update, which keeps the lenses of the rig or of --intrinsics")
         if max_views is not None:
             raise click.UsageError("--max-views goes without --update, which needs all views of one camera")
         refuse_existing(output, overwrite)
@@ -201,6 +206,7 @@ def command(
         max_views=max_views,
         workers=workers,
         progress=progress,
+        intrinsics__lens=lens,
         refinement__sigma_2d_px=sigma_2d,
         refinement__sigma_3d_m=sigma_3d,
     )

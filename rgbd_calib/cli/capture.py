@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from rgbd_calib.cli.options import OUTPUT, board_options, driver_option, redist_option, say
+from rgbd_calib.cli.options import OUTPUT, Number, board_options, driver_option, redist_option, say
 from rgbd_calib.errors import ConfigError
 
 SNAPSHOT_FRAMES = 30
@@ -27,13 +27,13 @@ SNAPSHOT_FRAMES = 30
 )
 @click.option(
     "--wave",
-    type=click.FloatRange(1.0, 3600.0),
+    type=Number(1.0, 3600.0),
     metavar="SECONDS",
     help="Record every frame of every camera for so long, while the board is carried; `calibrate` estimates the clocks.",
 )
 @click.option("--distances", metavar="M,M,...", help="With --depth-bias: the distances to go through, metres.")
 @click.option("--on-still", is_flag=True, help="Take a shot whenever the board is held still in a new pose.")
-@click.option("--interval", type=click.FloatRange(0), help="Seconds between shots.  [default: 0.5]")
+@click.option("--interval", type=Number(0), help="Seconds between shots.  [default: 0.5]")
 @click.option("--count", type=click.IntRange(1), help="Shots to take (of each camera, at each distance).")
 @click.option("--until-enough", is_flag=True, help="End when nothing is missing any more.")
 @click.option(
@@ -64,12 +64,10 @@ SNAPSHOT_FRAMES = 30
     metavar="[HOST:]PORT",
     help="Show live pictures and coverage on a web page; on this computer only unless HOST says otherwise (0.0.0.0).",
 )
-@click.option(
-    "--settle", type=click.FloatRange(0), default=2.0, show_default=True, help="Seconds for exposure to settle."
-)
+@click.option("--settle", type=Number(0), default=2.0, show_default=True, help="Seconds for exposure to settle.")
 @click.option(
     "--give-up",
-    type=click.FloatRange(1),
+    type=Number(1),
     default=15.0,
     show_default=True,
     help="End after so many seconds without any frame.",

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import click
 
 from rgbd_calib.cli.options import (
+    give,
     jobs_option,
+    json_option,
     output_option,
     overwrite_option,
     progress,
@@ -32,7 +35,9 @@ from rgbd_calib.cli.options import (
 @within_range_option
 @jobs_option
 @output_option("the corrected recording, a folder")
+@json_option
 @overwrite_option
+@json_option
 def command(
     recording: Path,
     rig_path: Path,
@@ -63,12 +68,11 @@ def command(
     from rgbd_calib.io.files import whole_folder
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.io.rig import read_rig
-    from rgbd_calib.pipeline.correct import correct, refuse_inside
+    from rgbd_calib.pipeline.correct import correct
     from rgbd_calib.pipeline.rig_inputs import left_out
 
     rig = read_rig(rig_path)
     opened = open_recording(recording)
-    refuse_inside(recording, output)
     if left_out(opened, rig):
         say(left_out(opened, rig))
     with whole_folder(output, overwrite) as folder:
@@ -84,3 +88,4 @@ def command(
             share = done.outside_pixels / done.measured_pixels
             notes.append(f"{share:.1%} of the depth pixels outside the range of the bias's data, {what}")
         say(f"  {camera}: {', '.join(notes)}")
+    give({"output": str(output), "cameras": {camera: asdict(done) for camera, done in summary.items()}})

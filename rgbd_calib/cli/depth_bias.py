@@ -10,6 +10,8 @@ import click
 from rgbd_calib.cli.options import (
     config_option,
     corners_option,
+    give,
+    json_option,
     output_option,
     overwrite_option,
     progress,
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
 @config_option
 @workers_options
 @overwrite_option
+@json_option
 def command(
     recording: Path,
     output: Path,
@@ -88,3 +91,19 @@ def command(
         if fit.dropped.any():
             say(f"{name}: {int(fit.dropped.sum())} distance(s) left out, too far from the curve")
     say(f"Wrote {output}")
+    give(
+        {
+            "output": str(output),
+            "cameras": {
+                name: {
+                    "coefficients": fit.bias.coefficients,
+                    "min_m": fit.bias.min_m,
+                    "max_m": fit.bias.max_m,
+                    "rms_mm": 1e3 * fit.bias.rms_m,
+                    "distances": len(fit.z_m) - int(fit.dropped.sum()),
+                    "left_out": int(fit.dropped.sum()),
+                }
+                for name, fit in fits.items()
+            },
+        }
+    )

@@ -9,6 +9,8 @@ import click
 
 from rgbd_calib.cli.options import (
     config_option,
+    give,
+    json_option,
     output_option,
     overwrite_option,
     progress,
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
 @config_option
 @workers_options
 @overwrite_option
+@json_option
 def command(recording: Path, output: Path, config: Path | None, workers: Workers, overwrite: bool) -> None:
     """Find the board of RECORDING in all its images: corners in px, and the depth measured there.
 
@@ -49,6 +52,7 @@ def command(recording: Path, output: Path, config: Path | None, workers: Workers
     opened, settings = split(open_recording(recording)), load_config(config)
     found = detect(opened, settings.detect, workers, progress)
     write_corners(output, found.views)
+    cameras = {}
     for camera, files in opened.color_files.items():
         views, missed = found.of(camera), [frame for name, frame in found.missed if name == camera]
         corners = sum(len(view.ids) for view in views)
@@ -57,4 +61,12 @@ def command(recording: Path, output: Path, config: Path | None, workers: Workers
             f"{camera}: board in {len(views)} of {len(files)} images, {corners} corners, {with_depth} of them with depth"
             + (f"; not found in {', '.join(missed)}" if missed else "")
         )
+        cameras[camera] = {
+            "images": len(files),
+            "views": len(views),
+            "corners": corners,
+            "corners_with_depth": with_depth,
+            "not_found": missed,
+        }
     say(f"Wrote {output}")
+    give({"output": str(output), "cameras": cameras})

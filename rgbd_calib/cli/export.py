@@ -6,7 +6,15 @@ from pathlib import Path
 
 import click
 
-from rgbd_calib.cli.options import OUTPUT, overwrite_option, refuse_existing, say
+from rgbd_calib.cli.options import (
+    OUTPUT,
+    Number,
+    give,
+    json_option,
+    overwrite_option,
+    refuse_existing,
+    say,
+)
 
 FORMATS = ("ros", "kalibr", "colmap", "nerfstudio", "open3d", "opencv", "json")
 
@@ -26,12 +34,13 @@ FORMATS = ("ros", "kalibr", "colmap", "nerfstudio", "open3d", "opencv", "json")
 )
 @click.option(
     "--max-px",
-    type=click.FloatRange(0),
+    type=Number(0),
     default=0.05,
     show_default=True,
     help="Largest deviation, px, of a lens that is refitted since the format does not have it.",
 )
 @overwrite_option
+@json_option
 def command(
     rig: Path, to: str, output: Path, undistorted: bool, image_name: str, max_px: float, overwrite: bool
 ) -> None:
@@ -66,3 +75,5 @@ def command(
     say(f"{to}: {', '.join(name for name in result.files if name) or output.name} -> {output}")
     for note in result.notes:
         say(f"  {note}")
+    files = [name for name in result.files if name] or [output.name]
+    give({"output": str(output), "format": to, "files": files, "notes": list(result.notes)})

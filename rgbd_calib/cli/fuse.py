@@ -7,6 +7,9 @@ from pathlib import Path
 import click
 
 from rgbd_calib.cli.options import (
+    Number,
+    give,
+    json_option,
     output_option,
     overwrite_option,
     recording_argument,
@@ -38,12 +41,11 @@ VIEWS = ("front", "back", "left", "right", "top", "oblique")
     multiple=True,
     help="Where the pictures are seen from; may be given again; implies --image.  [default: front, top]",
 )
-@click.option(
-    "--max-depth", "max_depth_m", type=click.FloatRange(0, min_open=True), help="Leave out what is farther, metres."
-)
+@click.option("--max-depth", "max_depth_m", type=Number(0, min_open=True), help="Leave out what is farther, metres.")
 @within_range_option
 @output_option("the cloud, a .ply file")
 @overwrite_option
+@json_option
 def command(
     recording: Path,
     rig_path: Path,
@@ -117,3 +119,15 @@ def command(
             picture = splat.render(points_m, colors, splat.viewpoint(view, poses, focus_m))
             write_picture(path, splat.with_legend(picture, shown))
             say(f"  seen from {view} -> {path}")
+    give(
+        {
+            "output": str(output),
+            "frame": frame,
+            "points": len(points_m),
+            "cameras": {
+                cloud.camera: {"points": len(cloud.points_m), "left_out": cloud.dropped, "outside": cloud.outside}
+                for cloud in clouds
+            },
+            "pictures": {view: str(path) for view, path in pictures.items()},
+        }
+    )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rgbd_calib.cli.options import (
+    Number,
     board_options,
     json_option,
     output_option,
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 @board_options
 @click.option(
     "--depth-scale",
-    type=click.FloatRange(1e-6, 1),
+    type=Number(1e-6, 1),
     metavar="M",
     help="Metres for each unit of depth.  [default: as FILE says, or by the board]",
 )
@@ -144,7 +145,7 @@ def command(
 
 
 def _ask(question: str) -> float | None:
-    answer: float = click.prompt(question, default=0.001, type=click.FloatRange(1e-6, 1), err=True)
+    answer: float = click.prompt(question, default=0.001, type=Number(1e-6, 1), err=True)
     return answer
 
 

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import click
 
-from rgbd_calib.cli.options import output_option, overwrite_option, refuse_existing, say
+from rgbd_calib.cli.options import (
+    give,
+    json_option,
+    output_option,
+    overwrite_option,
+    refuse_existing,
+    say,
+)
 from rgbd_calib.errors import ConfigError
 
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -21,6 +29,7 @@ UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}
     "--unit", type=click.Choice(list(UNITS_M)), default="m", show_default=True, help="Of the files' translations."
 )
 @overwrite_option
+@json_option
 def command(
     files: tuple[str, ...], output: Path, rename: tuple[str, ...], size: str | None, unit: str, overwrite: bool
 ) -> None:
@@ -64,6 +73,21 @@ def command(
         lens = "no lens" if own is None else f"{own.width}x{own.height} px, {own.model} {len(own.distortion)}"
         parts = [lens, *(["pose"] if found.is_rig else []), *(["depth camera"] if camera.depth is not None else [])]
         say(f"{name}: {', '.join(parts)} (from {found.origins[name]})")
+    give(
+        {
+            "output": str(output),
+            "is_rig": found.is_rig,
+            "cameras": {
+                name: {
+                    "from": found.origins[name],
+                    "intrinsics": None if camera.intrinsics is None else asdict(camera.intrinsics),
+                    "depth_camera": camera.depth is not None,
+                }
+                for name, camera in found.cameras.items()
+            },
+            "notes": list(found.notes),
+        }
+    )
     say(f"Wrote {output}: {'a rig' if found.is_rig else 'intrinsics'} of {len(found.cameras)} cameras")
 
 

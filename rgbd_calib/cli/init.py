@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rgbd_calib.cli.options import board_options, json_option, overwrite_option, progress, say, show
+from rgbd_calib.cli.options import Number, board_options, json_option, overwrite_option, progress, say, show
 from rgbd_calib.cli.streams import give
 from rgbd_calib.errors import ConfigError
 
@@ -23,9 +24,7 @@ if TYPE_CHECKING:
 @click.command
 @click.argument("folder", type=click.Path(path_type=Path))
 @board_options
-@click.option(
-    "--depth-scale", type=click.FloatRange(1e-6, 1), metavar="M", help="Metres for each unit of depth, such as 0.001."
-)
+@click.option("--depth-scale", type=Number(1e-6, 1), metavar="M", help="Metres for each unit of depth, such as 0.001.")
 @click.option(
     "--registered/--unregistered",
     default=None,
@@ -187,6 +186,8 @@ def _unit(folder: Path, unknown: dict[str, str], asking: bool) -> float:
         for why in unknown.values():
             say(why)
         return _number(_ask(f"{', '.join(unknown)}: metres for each unit of depth", "0.001"), "depth scale")
+    if apart := next((why for why in unknown.values() if "does not follow" in why), None):
+        raise ConfigError(f"{folder}: {apart}")
     raise ConfigError(
         f"{folder}: the unit of the depth images of {', '.join(unknown)} is not known ({next(iter(unknown.values()))}). Give "
         "--depth-scale (0.001 for millimetres, 0.0002 for TUM's 5000 a metre), or --board and --square as measured"
@@ -200,6 +201,9 @@ def _ask(question: str, default: str) -> str:
 
 def _number(text: str, what: str) -> float:
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
-        raise ConfigError(f"{what}: {text[:40]!r} seen, a number of metres needed") from None
+        number = math.nan
+    if not math.isfinite(number):
+        raise ConfigError(f"{what}: a number of metres expected, {text[:40]!r} found. Type it as in 0.06")
+    return number

@@ -11,6 +11,9 @@ import click
 from rgbd_calib.cli.options import (
     config_option,
     corners_option,
+    give,
+    json_option,
+    lens_option,
     output_option,
     overwrite_option,
     progress,
@@ -29,11 +32,19 @@ if TYPE_CHECKING:
 @recording_argument
 @output_option("intrinsics.yaml")
 @corners_option
+@lens_option
 @config_option
 @workers_options
 @overwrite_option
+@json_option
 def command(
-    recording: Path, output: Path, corners: Path | None, config: Path | None, workers: Workers, overwrite: bool
+    recording: Path,
+    output: Path,
+    corners: Path | None,
+    lens: str | None,
+    config: Path | None,
+    workers: Workers,
+    overwrite: bool,
 ) -> None:
     """Calibrate the intrinsics of each camera from its views of the board in RECORDING (Zhang's method).
 
@@ -52,7 +63,7 @@ def command(
     from rgbd_calib.pipeline.detection import detections_from
     from rgbd_calib.pipeline.prepare import intrinsics_of_views
 
-    opened, settings = split(open_recording(recording)), load_config(config)
+    opened, settings = split(open_recording(recording)), load_config(config, intrinsics__lens=lens)
     found = detections_from(opened, corners, settings.detect, workers, progress)
     seeing = [name for name, files in opened.color_files.items() if files]
     results = intrinsics_of_views(opened, found, settings, seeing)
@@ -64,6 +75,7 @@ def command(
             "view_rms_px": result.view_rms_px,
             "dropped": result.dropped,
             "not_needed": len(result.not_needed),
+            "lens": asdict(result.choice),
         }
         for name, result in results.items()
     }
@@ -75,11 +87,13 @@ def command(
             statistics[info.mount.camera] |= {"depth": own, "depth_statistics": statistics.pop(name)}
     write_intrinsics(output, lenses, statistics, {}, provenance)
     for name, result in results.items():
-        lens, sd = result.intrinsics, result.standard_deviation
+        own, sd = result.intrinsics, result.standard_deviation
         show(
-            f"{name}: fx {lens.fx:.2f} ± {sd[0]:.2f}, fy {lens.fy:.2f} ± {sd[1]:.2f}, cx {lens.cx:.2f} ± {sd[2]:.2f}, "
-            f"cy {lens.cy:.2f} ± {sd[3]:.2f} px; RMS {result.rms_px:.3f} px over {len(result.view_rms_px)} views"
+            f"{name}: fx {own.fx:.2f} ± {sd[0]:.2f}, fy {own.fy:.2f} ± {sd[1]:.2f}, cx {own.cx:.2f} ± {sd[2]:.2f}, "
+            f"cy {own.cy:.2f} ± {sd[3]:.2f} px; RMS {result.rms_px:.3f} px over {len(result.view_rms_px)} views"
         )
+        if result.choice.sentence:
+            say(f"{name}: {result.choice.sentence}")
         if result.not_needed:
             say(
                 f"{name}: {len(result.not_needed)} more views were not needed: the most informative ones are used (intrinsics.max_views)"
@@ -87,3 +101,19 @@ def command(
         for frame, why in result.dropped.items():
             say(f"{name}: frame {frame} left out: {why}")
     say(f"Wrote {output}")
+    give(
+        {
+            "output": str(output),
+            "cameras": {
+                name: {
+                    "intrinsics": asdict(result.intrinsics),
+                    "sd": result.standard_deviation,
+                    "rms_px": result.rms_px,
+                    "views": len(result.view_rms_px),
+                    "not_needed": len(result.not_needed),
+                    "dropped": result.dropped,
+                }
+                for name, result in results.items()
+            },
+        }
+    )

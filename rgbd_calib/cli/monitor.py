@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rgbd_calib.cli.options import OUTPUT, driver_option, redist_option, refuse_existing, say, show
+from rgbd_calib.cli.options import OUTPUT, Number, driver_option, redist_option, refuse_existing, say, show
 from rgbd_calib.errors import CalibrationError, ConfigError
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="The recording of the empty scene that is as old as RIG.  [default: RIG.snapshot]",
 )
-@click.option("--every", type=click.FloatRange(0), default=60.0, show_default=True, help="Seconds from round to round.")
+@click.option("--every", type=Number(0), default=60.0, show_default=True, help="Seconds from round to round.")
 @click.option("--rounds", type=click.IntRange(1), help="End after so many rounds.  [default: never]")
 @click.option(
     "--confirm",
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     help="Rounds in a row that must find a camera moved before it is drift.",
 )
 @click.option(
-    "--max-mm", type=click.FloatRange(0, min_open=True), default=3.0, show_default=True, help="Displacement allowed."
+    "--max-mm", type=Number(0, 1000, min_open=True), default=3.0, show_default=True, help="Displacement allowed."
 )
 @click.option(
     "--distance",
-    type=click.FloatRange(0.3, 20),
+    type=Number(0.3, 20),
     default=2.0,
     show_default=True,
     metavar="M",

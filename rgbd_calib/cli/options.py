@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterable, Iterator
 from functools import wraps
@@ -28,6 +29,17 @@ class Output(click.Path):
 
 
 OUTPUT = Output(path_type=Path)
+
+
+class Number(click.FloatRange):
+    """A finite number: no limit in the range holds for nan, and no error exceeds inf."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number.", param, ctx)
+        return number
+
 
 recording_argument = click.argument("recording", type=click.Path(path_type=Path))
 overwrite_option = click.option(
@@ -97,9 +109,9 @@ def board_options(command: Callable[..., Any]) -> Callable[..., Any]:
         help="Inner corners of the checkerboard, such as 9x6; or a YAML file with the board: dataset.yaml, the output of "
         "`rgbd-calib board`, Kalibr's target.yaml.",
     )
-    @click.option("--square", type=float, metavar="M", help="Side of its squares, metres.")
+    @click.option("--square", type=Number(), metavar="M", help="Side of its squares, metres.")
     @click.option(
-        "--two-sided", type=float, metavar="M", help="The print is on both faces of a board this thick, metres."
+        "--two-sided", type=Number(), metavar="M", help="The print is on both faces of a board this thick, metres."
     )
     @wraps(command)
     def with_board(
@@ -141,6 +153,12 @@ def parse_board(size: str | None, square_m: float | None, thickness_m: float | N
 config_option = click.option(
     "--config", type=click.Path(path_type=Path), help="YAML with settings; the command line wins over it."
 )
+lens_option = click.option(
+    "--lens",
+    type=click.Choice(["auto", "brown", "rational", "fisheye"]),
+    help="Lens model to estimate: OpenCV's 5 coefficients, its 8, or its fisheye; auto: what views held out ask for. Of given "
+    "intrinsics, and of few views, it stays what it is.  [default: auto]",
+)
 corners_option = click.option(
     "--corners", type=click.Path(path_type=Path), help="corners.csv of `rgbd-calib detect`, instead of detecting again."
 )
@@ -150,7 +168,7 @@ def method_options(methods: tuple[str, ...]) -> Decorator:
     """--method, --sigma-2d, --sigma-3d, --reference and --seed, for the commands that estimate poses."""
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        positive = click.FloatRange(0, min_open=True)
+        positive = Number(0, min_open=True)
         for option in (
             click.option("--seed", type=int, default=None, help="Seed of every random choice.  [default: 0]"),
             click.option("--reference", help="Camera whose frame is the world.  [default: the first]"),
@@ -186,13 +204,15 @@ def refuse_existing(path: Path, overwrite: bool, *, folder: bool = False, inputs
     ConfigError
         Says what is in the way.
     """
-    from rgbd_calib.io.conflicts import refuse_input
+    from rgbd_calib.io.conflicts import refuse_input, refuse_inside
     from rgbd_calib.io.files import check_output, resolved
     from rgbd_calib.io.folders import check_replaceable, foreign_names
 
     target = resolved(path)
     _refuse_twice(path, target)
-    if not folder:
+    if folder:
+        refuse_inside(path, (*_inputs(), *inputs))
+    else:
         check_output(path)
     if os.path.lexists(target):
         refuse_input(path, (*_inputs(), *inputs))

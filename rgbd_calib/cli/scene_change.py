@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import wraps
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from rgbd_calib.cli.options import Number
 
 if TYPE_CHECKING:
     from rgbd_calib.simulation.changes import SceneChange
@@ -33,7 +36,7 @@ def scene_change_options(command: Callable[..., Any]) -> Callable[..., Any]:
     @click.option("--people", type=click.IntRange(0, 20), default=0, help="With --snapshot: people in the new one.")
     @click.option(
         "--light",
-        type=click.FloatRange(0.05, 10.0),
+        type=Number(0.05, 10.0),
         default=1.0,
         help="With --snapshot: illumination of the new one relative to the old.",
     )
@@ -111,6 +114,6 @@ def _numbers(where: str, text: str, count: int) -> list[float]:
         values = [float(part) for part in text.split(",")]
     except ValueError:
         values = []
-    if len(values) != count:
-        raise click.UsageError(f"{where}: {count} numbers separated by commas expected, {text!r} found")
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise click.UsageError(f"{where}: {count} finite numbers separated by commas expected, {text!r} found")
     return values

@@ -51,34 +51,34 @@ if TYPE_CHECKING:
 @click.option("--width", type=click.IntRange(160, 4096), default=640, show_default=True, help="Image width, px.")
 @click.option("--height", type=click.IntRange(120, 4096), default=480, show_default=True, help="Image height, px.")
 @click.option("--board", default="9x6", show_default=True, metavar="COLSxROWS", help="Inner corners of the board.")
-@click.option("--square", type=click.FloatRange(0.005, 0.5), default=0.060, show_default=True, help="Square, metres.")
+@click.option("--square", type=options.Number(0.005, 0.5), default=0.060, show_default=True, help="Square, metres.")
 @click.option(
     "--two-sided/--one-sided", default=True, show_default=True, help="The pattern on both faces, or on the front only."
 )
 @click.option(
     "--thickness",
-    type=click.FloatRange(0.0, 0.05),
+    type=options.Number(0.0, 0.05),
     default=0.006,
     show_default=True,
     help="Thickness of the board, metres.",
 )
 @click.option(
     "--sigma-grey",
-    type=click.FloatRange(0.0, 50.0),
+    type=options.Number(0.0, 50.0),
     default=1.5,
     show_default=True,
     help="Noise of the colour images at middle grey, steps of 255.",
 )
 @click.option(
     "--blur",
-    type=click.FloatRange(0.0, 5.0),
+    type=options.Number(0.0, 5.0),
     default=0.6,
     show_default=True,
     help="Blur of the lenses, px (one sigma).",
 )
 @click.option(
     "--fringe",
-    type=click.FloatRange(-5.0, 5.0),
+    type=options.Number(-5.0, 5.0),
     default=0.0,
     show_default=True,
     help="Lateral chromatic aberration: shift of red outwards and of blue inwards in the image corners, px.",
@@ -91,7 +91,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--depth-k",
-    type=click.FloatRange(0.0, 0.05),
+    type=options.Number(0.0, 0.05),
     default=None,
     help="Depth noise: one sigma is k z^2, z in metres; at least the quantisation of disparity, 0.00084 for structured light. "
     "For tof: one sigma on white paper at 1 m, metres.  [default: 0.0016; tof 0.0007; stereo 0.004]",
@@ -124,38 +124,38 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--wave",
-    type=click.FloatRange(1.0, 600.0),
+    type=options.Number(1.0, 600.0),
     default=None,
     metavar="SECONDS",
     help="Carry the board for so long before free-running cameras, in place of the shared frames: OUT/wave.",
 )
 @click.option(
-    "--rate", type=click.FloatRange(1.0, 120.0), default=30.0, show_default=True, help="With --wave: frames per second."
+    "--rate", type=options.Number(1.0, 120.0), default=30.0, show_default=True, help="With --wave: frames per second."
 )
 @click.option(
     "--clock-offset",
-    type=click.FloatRange(0.0, 3600.0),
+    type=options.Number(0.0, 3600.0),
     default=5.0,
     show_default=True,
     help="With --wave: offsets of the clocks are drawn from +- this, seconds.",
 )
 @click.option(
     "--jitter",
-    type=click.FloatRange(0.0, 0.05),
+    type=options.Number(0.0, 0.05),
     default=0.0,
     show_default=True,
     help="With --wave: noise of the time stamps, seconds (one sigma).",
 )
 @click.option(
     "--readout",
-    type=click.FloatRange(0.0, 0.05),
+    type=options.Number(0.0, 0.05),
     default=0.0,
     show_default=True,
     help="With --wave: readout time of a rolling shutter, seconds.",
 )
 @click.option(
     "--lost",
-    type=click.FloatRange(0.0, 0.5),
+    type=options.Number(0.0, 0.5),
     default=0.02,
     show_default=True,
     help="With --wave: share of dropped frames.",
@@ -163,7 +163,7 @@ if TYPE_CHECKING:
 @click.option("--ideal", is_flag=True, help="No print, depth field, registration, wall or image errors.")
 @click.option(
     "--print-scale",
-    type=click.FloatRange(0.0, 0.05),
+    type=options.Number(0.0, 0.05),
     default=0.0,
     show_default=True,
     help="Error of the stated square size, relative (one sigma).",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,8 @@ import click
 from rgbd_calib.cli.options import (
     config_option,
     corners_option,
+    give,
+    json_option,
     output_option,
     overwrite_option,
     progress,
@@ -42,6 +45,7 @@ if TYPE_CHECKING:
 @config_option
 @workers_options
 @overwrite_option
+@json_option
 def command(
     recording: Path,
     output: Path,
@@ -86,6 +90,8 @@ def command(
         show(f"{len(sets)} sets; frames {1e3 * np.sqrt(np.mean(apart**2)):.1f} ms apart (RMS), {worst:.1f} ms at most")
         show(f"Motion of 1 m/s is off by up to {worst:.0f} mm in them")
         say(f"Wrote {output}")
+        rms = 1e3 * float(np.sqrt(np.mean(apart**2)))
+        give({"output": str(output), "sets": len(sets), "apart_rms_ms": rms, "apart_worst_ms": worst})
         return
     assert rig is not None
     from rgbd_calib.io.rig import read_rig, write_timing
@@ -110,6 +116,15 @@ def command(
         show(clock_line(name, clock, result.reference))
     say(f"Views used: {', '.join(f'{c} {n}' for c, n in result.views.items())}; {len(result.left_out)} left out")
     say(f"Wrote {output}")
+    give(
+        {
+            "output": str(output),
+            "reference": result.reference,
+            "clocks": {name: asdict(clock) for name, clock in result.clocks.items()},
+            "remarks": list(result.remarks),
+        }
+        | quality
+    )
 
 
 def clock_line(name: str, clock: Clock, reference: str) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rgbd_calib.cli.options import config_option, corners_option, progress, say, show, workers_options
+from rgbd_calib.cli.options import Number, config_option, corners_option, progress, say, show, workers_options
 
 if TYPE_CHECKING:
     from rgbd_calib.io.recording import Recording
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option(
     "--max-mm",
-    type=click.FloatRange(0, min_open=True),
+    type=Number(0, 1000, min_open=True),
     default=3.0,
     show_default=True,
     help="How far apart two cameras may put the board.",
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--distance",
-    type=click.FloatRange(0.3, 20),
+    type=Number(0.3, 20),
     default=2.0,
     show_default=True,
     metavar="M",

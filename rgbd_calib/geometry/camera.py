@@ -21,6 +21,9 @@ from rgbd_calib.geometry.so3 import FloatArray
 LensName = Literal["opencv", "kannala_brandt"]
 LENSES: dict[LensName, ModuleType] = {"opencv": brown_conrady, "kannala_brandt": kannala_brandt}
 """Each has SIZES, distort, distort_jacobian and radial."""
+LensKind = Literal["brown", "rational", "fisheye"]
+LENS_KINDS: tuple[LensKind, ...] = ("brown", "rational", "fisheye")
+"""OpenCV's five coefficients, its eight, and the four of its fisheye."""
 
 N_INTRINSICS = 9
 """Length of the vector fx, fy, cx, cy, k1, k2, p1, p2, k3 of the default lens."""
@@ -84,6 +87,11 @@ class Intrinsics:
     def unproject(self, pixels: FloatArray, z_m: FloatArray) -> FloatArray:
         """Points (..., 3), metres, in the camera's frame, of pixels (..., 2) at depths z_m (...)."""
         return self.rays(pixels) * np.asarray(z_m)[..., None]
+
+
+def model_of(kind: LensKind) -> LensName:
+    """The lens model of a kind of lens."""
+    return "kannala_brandt" if kind == "fisheye" else "opencv"
 
 
 def project(vector: FloatArray, p_color: FloatArray, model: LensName = "opencv") -> FloatArray:

@@ -40,8 +40,8 @@ def symmetric_inverse(A: FloatArray) -> FloatArray:
 
 def product(A: FloatArray, B: FloatArray) -> FloatArray:
     """Sum over f of A[f] B[f]', of (F, p, m) and (F, q, m), as one matrix product."""
-    p, q = A.shape[1], B.shape[1]
-    return np.asarray(A.transpose(1, 0, 2).reshape(p, -1) @ B.transpose(1, 0, 2).reshape(q, -1).T, float)
+    (F, p, m), q = A.shape, B.shape[1]
+    return np.asarray(A.transpose(1, 0, 2).reshape(p, F * m) @ B.transpose(1, 0, 2).reshape(q, F * m).T, float)
 
 
 @dataclass(frozen=True)

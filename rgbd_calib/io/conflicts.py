@@ -39,6 +39,14 @@ def refuse_input(output: Path, inputs: Iterable[Path]) -> None:
             raise ConfigError(f"{output}: is a part of the input {source}. Choose another name for the output")
 
 
+def refuse_inside(output: Path, inputs: Iterable[Path]) -> None:
+    """Raise ConfigError where the folder `output` would lie in a folder that is read: whoever reads that again finds both."""
+    above = [p for p in Path(os.path.realpath(output)).parents if p.exists()]
+    for source in inputs:
+        if source.is_dir() and any(os.path.samefile(source, folder) for folder in above):
+            raise ConfigError(f"{output}: lies in the input {source}. Choose an output folder beside it")
+
+
 def _same(a: Path, b: Path) -> bool:
     return os.path.exists(a) and os.path.exists(b) and os.path.samefile(a, b)
 

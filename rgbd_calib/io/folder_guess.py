@@ -15,7 +15,7 @@ from pathlib import Path
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.camera_names import CAMERA, FRAME, TOKENS, name_cameras
-from rgbd_calib.io.frame_names import NUMBER
+from rgbd_calib.io.frame_names import NUMBER, order
 from rgbd_calib.io.images import DEPTH_SUFFIXES, SUFFIXES
 from rgbd_calib.io.layout import KINDS, FilePatterns, Kind, describe_unused, walk
 from rgbd_calib.io.schema_base import check_name
@@ -147,6 +147,10 @@ def _coinciding(guess: Guess) -> int:
     return sum(len(set(s.files) & set(depth[c].files)) for c, s in guess.streams["color"].items() if c in depth)
 
 
+_ONE_FORMAT = {".jpeg": ".jpg", ".tif": ".tiff"}
+"""Suffixes of one format, whose files make one stream."""
+
+
 def names_coincide(guess: Guess) -> bool:
     """Whether half of the frames of a stream, at least, have the name of a frame that they belong to.
 
@@ -167,17 +171,19 @@ def find_streams(
     shapes: dict[str, list[str]] = defaultdict(list)
     for path in walk(root):
         if Path(path).suffix.lower() in (*SUFFIXES, *DEPTH_SUFFIXES, *more):
-            shapes[NUMBER.sub("#", path.rpartition(".")[0]) + Path(path).suffix].append(path)
+            suffix = Path(path).suffix.lower()
+            shapes[NUMBER.sub("#", path.rpartition(".")[0]) + _ONE_FORMAT.get(suffix, suffix)].append(path)
     for shape in [s for s, paths in shapes.items() if len(paths) == 1 and "#" not in s.rpartition("/")[2]]:
         folder = shapes[shape][0].rpartition("/")[0]  # names without numbers: all of the folder
         shapes[f"{folder}/*{Path(shape).suffix}"] += shapes.pop(shape)
     found: dict[str, dict[str, str]] = defaultdict(dict)
     for paths in shapes.values():
+        several = len({Path(path).suffix for path in paths}) > 1  # IMG_1.JPG beside IMG_2.jpg
         for template, frame, path in _numbered(paths, mode):
-            found[template][frame] = path
+            found[f"{template.rpartition('.')[0]}.*" if several else template][frame] = path
     streams, remarks = [], []
     for template, files in sorted(found.items()):
-        files = dict(sorted(files.items()))
+        files = dict(sorted(files.items(), key=lambda item: order(item[0])))
         seen = {files[frame]: look(root / files[frame]) for frame in _some(list(files))}
         looks, unread = set(seen.values()), [path for path, kind in seen.items() if kind is None]
         one = next(iter(looks))
@@ -307,7 +313,8 @@ def kind_of(stream: Stream, colored: bool) -> Kind | None:
         return None  # a picture of depth
     if infrared:
         return "ir"
-    return "color" if pixels == "color" or not colored else None
+    named = bool(stream.words & {"color", "colour", "rgb"})  # one grey camera beside coloured ones
+    return "color" if pixels == "color" or named or not colored else None
 
 
 def _preferred(streams: list[Stream]) -> tuple[list[Stream], list[Stream]]:

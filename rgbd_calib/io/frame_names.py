@@ -18,6 +18,11 @@ _EPOCH_UNITS_US = {13: Decimal(1000), 16: Decimal(1), 19: Decimal("0.001")}
 """Microseconds for each unit of a whole number of so many digits: Unix time in ms, us, ns."""
 
 
+def order(name: str) -> tuple[list[str | int], str]:
+    """By which names of frames are sorted: 2 before 10, as they were filmed."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)], name
+
+
 def times_us(names: Sequence[str]) -> list[int] | None:
     """Times that names of frames say, microseconds; None where they are not all times."""
     out = [_time_us(name) for name in names]

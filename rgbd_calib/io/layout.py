@@ -11,6 +11,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Literal
 
 from rgbd_calib.errors import ConfigError
+from rgbd_calib.io.frame_names import order
 from rgbd_calib.io.images import DEPTH_SUFFIXES, SUFFIXES
 
 Kind = Literal["color", "depth", "ir"]
@@ -66,7 +67,10 @@ class FilePatterns:
                 if match:
                     camera = match.groupdict().get("camera", cameras[0])
                     _add(found[kind][camera], match["frame"], root / relative)
-        return {kind: {c: dict(sorted(own.items())) for c, own in files.items()} for kind, files in found.items()}
+        return {
+            kind: {c: dict(sorted(own.items(), key=lambda item: order(item[0]))) for c, own in files.items()}
+            for kind, files in found.items()
+        }
 
 
 def find_files(root: Path, cameras: Sequence[str], patterns: FilePatterns | None) -> dict[Kind, Files]:
@@ -183,7 +187,8 @@ def _images(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
     if not folder.is_dir():
         return {}
     found: dict[str, Path] = {}
-    for path in sorted(p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".")):
+    images = [p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".")]
+    for path in sorted(images, key=lambda p: order(p.name)):
         _add(found, path.stem, path)
     return found
 

@@ -17,6 +17,7 @@ from rgbd_calib.io.dataset import DepthGeometry as DepthGeometry
 from rgbd_calib.io.dataset import read_dataset
 from rgbd_calib.io.dataset import write_dataset as write_dataset
 from rgbd_calib.io.depth_files import depth_in_m, read_depth_raw
+from rgbd_calib.io.frame_names import order
 from rgbd_calib.io.images import MAX_BYTES, as_bgr, in_8_bits, read_image, write_image
 from rgbd_calib.io.layout import FilePatterns, Files, Kind, describe_unused, find_files, find_unused
 from rgbd_calib.io.reading import read_bytes
@@ -70,8 +71,8 @@ class Recording:
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Stems of all frames of all cameras, in order."""
-        return tuple(sorted({frame for files in self.color_files.values() for frame in files}))
+        """Stems of all frames of all cameras, in order: numbers by their value."""
+        return tuple(sorted({frame for files in self.color_files.values() for frame in files}, key=order))
 
     @cached_property
     def unused(self) -> tuple[str, ...]:

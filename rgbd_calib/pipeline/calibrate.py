@@ -21,6 +21,7 @@ from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.residuals import Residuals
 from rgbd_calib.io.rig import board_data
 from rgbd_calib.pipeline import depth_cameras, details, frame_selection
+from rgbd_calib.pipeline.color_planes import color_plane_findings
 from rgbd_calib.pipeline.config import Config, as_plain
 from rgbd_calib.pipeline.depth_cameras import split
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
@@ -172,6 +173,7 @@ def calibrate(
         recording.frames,
         stated_mm,
         config.self_check,
+        color_plane_findings(recording, board, views.detections.views),
     )
     quality |= {"board": board_data(found), "depth_bias_samples": views.depth.samples}
     provenance = {

@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 
-from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.camera import Intrinsics
@@ -190,13 +189,6 @@ def correct(
         counts = len(recording.color_files[camera]), len(recording.depth_files[camera])
         summary[camera] = Corrected(*counts, lost, outside, measured)
     return summary
-
-
-def refuse_inside(recording: Path, out: Path) -> None:
-    """Raise ConfigError where writing `out` would replace the recording, or write into it."""
-    source, target = recording.resolve(), out.resolve()
-    if target == source or target in source.parents or source in target.parents:
-        raise ConfigError(f"{out}: is, holds or lies in the recording {recording}. Choose a folder beside it")
 
 
 def _geometry_of(camera: RigCamera) -> DepthGeometry | None:

@@ -19,6 +19,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.correspondences import read_corners
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.rig import read_intrinsics
+from rgbd_calib.pipeline.color_planes import color_plane_findings
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Progress, board_of, check_detector, check_seen, silent
 from rgbd_calib.pipeline.detection_cache import Contents, DetectionCache, contents, detector
@@ -236,6 +237,8 @@ def _check_board(
     posed = [pose_view(v, board, lenses[v.camera], None, config.board_pose) for v in views]
     alone = len({frame for _, frame in images}) == len(images) and len(recording.cameras) > 1
     findings = doctor.check_exposure(images, measures, params)
+    for own in color_plane_findings(recording, board, views):
+        findings.append(Finding("colour planes", own.cameras, (), True, f"{own.text}. {own.advice}"))
     shift_m: dict[Key, float] = {}
     unfit: dict[Key, str] = {}
     missed: dict[Key, tuple[float, bool]] = {}

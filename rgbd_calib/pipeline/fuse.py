@@ -130,14 +130,15 @@ def _cloud(recording: Recording, rig: Rig, name: str, frame: str, params: FusePa
     jump = on_jump(depth_m, params.jump)
     p_color = camera.depth_image.points(depth_m)
     lost = measured & ~np.isfinite(p_color).all(axis=-1)
+    behind = measured & (p_color[..., 2] <= 0)
     far = measured & ~jump & (p_color[..., 2] > params.max_depth_m)
     bias = camera.depth_bias
     outside = bias.outside(depth_m) & measured if bias is not None else np.zeros_like(measured)
     beyond = outside & ~jump & ~far if params.within_range else np.zeros_like(measured)
-    kept = measured & ~jump & ~far & ~lost & ~beyond
+    kept = measured & ~jump & ~far & ~lost & ~behind & ~beyond
     p_color = p_color[kept]
     if frame in recording.color_files[name]:
-        at = np.rint(np.nan_to_num(camera.intrinsics.project(p_color), nan=-1e6)).astype(int)
+        at = np.rint(np.clip(np.nan_to_num(camera.intrinsics.project(p_color), nan=-1e6), -1e6, 1e6)).astype(int)
         size = np.array([camera.intrinsics.width, camera.intrinsics.height])
         u, v = np.clip(at, 0, size - 1).T
         shown = np.all((at > -MARGIN_PX) & (at < size - 1 + MARGIN_PX), axis=1)  # depth may see more than colour does
@@ -149,6 +150,7 @@ def _cloud(recording: Recording, rig: Rig, name: str, frame: str, params: FusePa
         "too far": int(np.count_nonzero(far)),
         "outside the range of the bias's data": int(np.count_nonzero(beyond)),
         "beyond the lens model": int(np.count_nonzero(lost & ~jump)),
+        "behind the camera once corrected": int(np.count_nonzero(behind & ~jump)),
     }
     return Cloud(
         name, se3.transform(camera.T_world_color, p_color), colors, dropped, int(np.count_nonzero(outside & kept))

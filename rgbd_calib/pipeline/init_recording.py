@@ -36,6 +36,8 @@ _IMAGES_FOR_BOARD = 12
 _VIEWS_FOR_UNIT = 12
 """Of each camera: 8 views estimate a lens."""
 _MIN_VIEWS_FOR_LENS = 8
+_FOLLOWS = 1.3
+"""Units for each metre by two images differ by less, whatever the unit: a guessed lens errs in all of them alike."""
 _IMPORTED_DEPTH = (".npz", ".exr")
 _UNREAD_DEPTH = (*_IMPORTED_DEPTH, ".raw", ".bin", ".dat", ".mat", ".pfm", ".hdf5", ".h5")
 
@@ -289,6 +291,13 @@ def with_unit(
     told = _unit_by_board(found, name, info, answers.board, config, progress)
     if told.raw_per_m is None:
         return info, f"{name}: no image shows the board with depth on it"
+    least, most = told.spread
+    if info.depth is None and most > _FOLLOWS * least:
+        return info, (
+            f"{name}: depth does not follow the board: by its pixels a metre has {least:.0f} units in one image and {most:.0f} in "
+            "another. Depth images of other frames than colour's, mirrored or rotated against colour, or disparity in place of "
+            "depth: look at a pair"
+        )
     if told.unit_m is None:
         mm = 1000 * answers.board.square_m
         return info, (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -93,6 +94,9 @@ def common_quality(recording: Recording, views: Views, evaluation: Evaluation | 
             for p in association.pairs
         ],
     }
+    choices = {name: own.choice for name, own in views.lenses.results.items()}
+    if chosen := {name: asdict(choice) for name, choice in choices.items() if choice.held_out_px}:
+        out["lenses"] = chosen
     if evaluation is not None:
         out["alignment_on_recording"] = evaluation.summary()
     return out

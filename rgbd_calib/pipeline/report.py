@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,11 @@ from rgbd_calib.pipeline import fuse
 from rgbd_calib.pipeline.depth_cameras import name_of
 from rgbd_calib.pipeline.rig_inputs import common_cameras
 from rgbd_calib.pipeline.view_pictures import view_pictures
-from rgbd_calib.report import splat
+from rgbd_calib.report import compare_page, numbers, splat
+from rgbd_calib.report.compare import Comparison, compare
 from rgbd_calib.report.page import Contents, Picture, render
 from rgbd_calib.report.scene import MovedCloud
+from rgbd_calib.trust.verdict import Verdict
 from rgbd_calib.types import Board, DepthCamera, Rig, RigCamera
 
 VIEWS = {"oblique": "from the side", "top": "from above"}
@@ -73,12 +76,52 @@ def report_of_file(path: Path, recording: Path | None, depth_bias: Path | None, 
         where = f"the recording {named or ''} is not there. Say where it is: `rgbd-calib report {path} --recording DIR -o {folder}`."
         missing |= {"clouds": f"The clouds are not shown: {where}", "images": f"The images are not shown: {where}"}
     boards = read_boards(path)
-    try:
+    with schemaless(path):
         return write_report(folder, path.name, rig, boards, left, opened, missing)
+
+
+def comparison_of_files(path: Path, other: Path, folder: Path) -> tuple[Path, Comparison]:
+    """Page of two rig files side by side, the second against the first.
+
+    Raises
+    ------
+    ConfigError
+        One of them is not a rig, they are one file, or have no camera in common.
+    """
+    if path.resolve() == other.resolve():
+        raise ConfigError(f"--compare {other}: another rig was expected, RIG itself found. Name two files")
+    (first, verdict), (second, other_verdict) = verdict_of_file(path), verdict_of_file(other)
+    names = (path.name, other.name) if path.name != other.name else (str(path), str(other))
+    with schemaless(path, other):
+        found = compare((first, second), names, (verdict, other_verdict))
+        text = compare_page.render((first, second), found)
+    written = folder / "index.html"
+    write_text(written, valid(text))
+    return written, found
+
+
+def verdict_of_file(path: Path) -> tuple[Rig, Verdict]:
+    """A rig and whether to trust it.
+
+    Raises
+    ------
+    ConfigError
+        Not a rig file.
+    """
+    rig = read_rig(path)
+    with schemaless(path):
+        return rig, numbers.verdict_of(rig, read_residuals_of(path, rig))
+
+
+@contextmanager
+def schemaless(*paths: Path) -> Iterator[None]:
+    """`quality` and `provenance` have no schema, since what they hold changes with the methods: ConfigError where it is not as expected."""
+    try:
+        yield
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, TemplateError) as error:
-        # `quality` and `samples` have no schema: what they hold changes with the methods
+        where = " or ".join(map(str, paths))
         raise ConfigError(
-            f"{path}: quality: cannot be shown ({type(error).__name__}: {short(str(error))}); what `rgbd-calib calibrate` wrote "
+            f"{where}: quality: cannot be shown ({type(error).__name__}: {short(str(error))}); what `rgbd-calib calibrate` wrote "
             "there is needed. Calibrate again, or take `quality` out"
         ) from error
 
@@ -175,7 +218,12 @@ def _moved_clouds(
             se3.transform(one.cameras[name].T_world_color, p := one.cameras[name].depth_image.points(depth_m))
             for one in (first, rig)
         ]
-        kept = np.isfinite(depth_m) & ~fuse.on_jump(depth_m, params.jump) & (p[..., 2] <= params.max_depth_m)
+        kept = (
+            np.isfinite(depth_m)
+            & ~fuse.on_jump(depth_m, params.jump)
+            & (p[..., 2] > 0)
+            & (p[..., 2] <= params.max_depth_m)
+        )
         kept &= np.all(np.isfinite(points), axis=(0, -1))
         chosen = np.flatnonzero(kept)
         chosen = chosen[:: max(1, len(chosen) * len(names) // POINTS)]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from rgbd_calib.cameras.lens_choice import LensChoice
 from rgbd_calib.errors import RgbdCalibError
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.residuals import Residuals
@@ -26,6 +27,7 @@ def course(quality: dict[str, Any]) -> list[str]:
         lines.append("Views used: " + ", ".join(f"{name} {used[name]} of {images[name]} images" for name in used))
     if selected := told(quality):
         lines.append(selected)
+    lines += [f"{name}: {LensChoice(**own).sentence}" for name, own in quality.get("lenses", {}).items()]
     for key, what in (("views_not_associated", "left out"), ("dropped", "dropped")):
         for name, frames in quality.get(key, {}).items():
             lines += [f"{name}: frame {frame} {what}: {why}" for frame, why in frames.items()]
@@ -73,8 +75,14 @@ def block(
     lines += [text for text in quality.get("corrected", []) if text.startswith(("The print", "The board"))]
     lines.append(f"Verdict: {verdict}")
     findings = quality.get("self_check", {}).get("findings", [])
-    lines += [f"  {text}" for text in merged([f"{f['text']}. {f['advice']}." for f in findings], list(rig.cameras))]
+    lines += [f"  {text}" for text in merged([_said(f, verdict) for f in findings], list(rig.cameras))]
     return _rows(rig, residuals), lines
+
+
+def _said(finding: dict[str, Any], verdict: Verdict) -> str:
+    """The cause and what to do; the cause only where the verdict has not named it."""
+    text, advice = f"{finding['text']}.", f"{finding['advice']}."
+    return advice if text in str(verdict) else f"{text} {advice}"
 
 
 def truth_beside(recording: Recording, rig: Rig) -> dict[str, Any] | None:

@@ -31,6 +31,8 @@ from rgbd_calib.types import DepthBias, RigCamera
 
 FINE, COARSE = (32, 24), (8, 6)
 """Columns and rows of colours, and of arrows, over an image."""
+LONGEST = 2.0
+"""Of an arrow that is drawn, in cells: longer ones are where a lens model folds."""
 DEPTHS = 3
 _ARROW_SHARE = 0.9  # of a coarse cell
 _REGISTERED_SHARE = 0.1
@@ -109,7 +111,9 @@ def shift_over_image(lens: Intrinsics, shift: Any, what: str) -> tuple[Figure, f
     top = float(np.nanmax(size, initial=0.0))
     coarse = pixels_over(lens, COARSE)[2]
     d = shift(coarse)
-    scale = longest(d, _ARROW_SHARE * lens.width / COARSE[0])
+    room = _ARROW_SHARE * lens.width / COARSE[0]
+    scale = longest(d, room)
+    d[np.linalg.norm(scale * d, axis=-1) > LONGEST * room] = np.nan  # colours show them; arrows would cross the picture
     # arrows end at the pixel where the shift leads, so that they stay inside the image
     trace = heat(u, v, size, f"%{{z:.2f}} px {what}", SIZES, 0, top or 1.0) | scale_bar("px")
     layout = image_layout(-0.5, lens.width - 0.5, -0.5, lens.height - 0.5, 230)

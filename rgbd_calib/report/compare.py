@@ -1,13 +1,14 @@
 """Two rigs of the same cameras side by side: what moved, what changed, and which of them expects less error.
 
-Poses are compared in the frame of one camera that both have. Deviations are those of the difference, as if the two rigs were
-made from independent recordings.
+Poses are compared in the frame of one camera that both have. The covariance of a motion is the sum of the two rigs', which
+holds for rigs of independent recordings only: errors of rigs that share images are correlated.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -24,27 +25,35 @@ from rgbd_calib.types import Rig, RigCamera
 
 UNLIKELY = 1e-3
 """Of a motion by chance: below it a camera has moved."""
+ALIKE = 0.05
+"""Expected errors that differ by less are called the same: a covariance of some hundred residuals is no surer."""
 DEPTHS_M = (0.75, 1.0, 1.5, 2.0, 3.0, 4.0)
 
 
 @dataclass(frozen=True)
-class Moved:
+class Motion:
     """One camera of two rigs, the second less the first."""
 
     camera: str
     mm: float
     sd_mm: float | None
-    """None where a rig does not know it."""
+    """Along the motion; None where a rig does not know it, or the two are not independent."""
     deg: float
     sd_deg: float | None
     chance: float | None
     """Probability of a motion that is at least as large, if nothing moved."""
+    step_m: FloatArray
+    """(3,), of the optical centre, in the common frame."""
 
     @property
-    def word(self) -> str:
-        if self.chance is None:
-            return "not known: a rig has no deviation of this pose"
-        return "moved" if self.chance < UNLIKELY else "within the deviations"
+    def moved(self) -> bool | None:
+        """None where it cannot be decided."""
+        return None if self.chance is None else self.chance < UNLIKELY
+
+    def __str__(self) -> str:
+        mm, deg = (f" ± {sd:.{n}f}" if sd is not None else "" for sd, n in ((self.sd_mm, 2), (self.sd_deg, 3)))
+        result = {None: "not tested", True: "moved", False: "within the deviations"}[self.moved]
+        return f"{self.mm:.2f}{mm} mm, {self.deg:.3f}{deg} deg: {result}"
 
 
 @dataclass(frozen=True)
@@ -52,17 +61,17 @@ class Changed:
     """Lens and depth of one camera, the second less the first."""
 
     camera: str
-    fx_px: float
-    fy_px: float
-    cx_px: float
-    cy_px: float
-    sd_px: tuple[float, float, float, float] | None
+    lens_px: FloatArray
+    """(4,), fx, fy, cx, cy."""
+    lens_sd_px: FloatArray | None
+    """(4,); None where a rig does not know it, or the two are not independent."""
     rms_px: float
     """Over the image: where a ray is seen, NaN where the images have different sizes."""
     depth_mm: tuple[tuple[float, float, float], ...]
     """(depth in m, mean and RMS in mm over the image) of the correction of the depth; empty where not both have it."""
     effect_mm: float | None
-    """RMS of how far apart the two rigs put a point of the first's volume that this camera sees; pose, lens and depth together."""
+    """RMS distance between where the two rigs put a point of the first's volume that this camera sees; pose, lens and depth
+    together. None without a volume, or where the camera sees none of it."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +80,10 @@ class Side:
 
     name: str
     verdict: Verdict
-    expected_mm: tuple[float, float, float] | None
-    """Mean, 95 %, worst; None where not known."""
-    measured_mm: float | None
+    expected: Mapping[str, Any] | None
+    """`of`, `mean_mm`, `p95_mm`, `worst_mm`; None where not known."""
+    measured: Mapping[str, Any]
+    """`median_mm`, `median_px`, as far as known."""
     views: int | None
     recording: str
 
@@ -85,11 +95,14 @@ class Comparison:
     sides: tuple[Side, Side]
     frame: str
     """The camera in whose frame poses are compared."""
-    moved: tuple[Moved, ...]
+    motions: tuple[Motion, ...]
     changed: tuple[Changed, ...]
     only: tuple[tuple[str, ...], tuple[str, ...]]
     """Cameras that only one has."""
-    same_recording: bool
+    shared_images: int
+    """Colour images that both were made from."""
+    untested: str
+    """Why no motion is tested; empty where they are."""
     sentence: str
     """Which expects less error."""
 
@@ -106,96 +119,99 @@ def compare(rigs: tuple[Rig, Rig], names: tuple[str, str], verdicts: tuple[Verdi
     shared = [name for name in a.cameras if name in b.cameras]
     if not shared:
         raise ConfigError(
-            f"{names[1]}: cameras {', '.join(b.cameras)} seen, {names[0]} has {', '.join(a.cameras)}; at least one in common is "
-            "needed. Are they rigs of the same cameras?"
+            f"{names[1]}: at least one camera of {names[0]} ({', '.join(a.cameras)}) was expected, {', '.join(b.cameras)} found. "
+            "Compare rigs whose cameras have the same names"
         )
     frame = a.reference if a.reference in shared else shared[0]
+    images = shared_images(a, b)
+    independent = not images and not _same_recording(a, b)
+    untested = ""
+    if not independent:
+        untested = (
+            "The two rigs are from the same images, so that their errors are correlated: the covariance of the difference is not "
+            "known, and no motion is tested."
+        )
+    elif not frame == a.reference == b.reference:
+        untested = (
+            f"The reference cameras differ ({a.reference}, {b.reference}), and covariances of poses are relative to the "
+            "reference: no motion is tested. Calibrate both with the same --reference."
+        )
     sides = (_side(a, names[0], verdicts[0]), _side(b, names[1], verdicts[1]))
-    hashes = [rig.provenance.get("recording_sha256") for rig in rigs]
     return Comparison(
         sides,
         frame,
-        tuple(_moved(a, b, name, frame) for name in shared if name != frame),
-        tuple(_changed(a, b, name, frame) for name in shared),
+        tuple(_motion(a, b, name, frame, bool(untested)) for name in shared if name != frame),
+        tuple(_changed(a, b, name, frame, independent) for name in shared),
         (tuple(n for n in a.cameras if n not in shared), tuple(n for n in b.cameras if n not in shared)),
-        hashes[0] is not None and hashes[0] == hashes[1],
+        images,
+        untested,
         _which(sides),
     )
 
 
+def shared_images(a: Rig, b: Rig) -> int:
+    """Colour images, by their contents, that both rigs were made from."""
+    first, second = (
+        {digest for own in rig.provenance.get("images_sha256", {}).values() for digest in own.values()}
+        for rig in (a, b)
+    )
+    return len(first & second)
+
+
+def _same_recording(a: Rig, b: Rig) -> bool:
+    digest = a.provenance.get("recording_sha256")
+    return digest is not None and digest == b.provenance.get("recording_sha256")
+
+
 def in_frame(rig: Rig, camera: str) -> Rig:
-    """The rig with one camera's frame as its world."""
+    """The rig with one camera's frame as its world; covariances of the poses go with it."""
     T = se3.inverse(rig.cameras[camera].T_world_color)
+    Ad = se3.adjoint(T)
     cameras = {
-        name: RigCamera(
-            own.intrinsics,
-            T @ own.T_world_color,
-            own.covariance,
-            own.depth_bias,
-            own.statistics,
-            own.depth_field,
-            own.depth_camera,
-        )
+        name: replace(own, T_world_color=T @ own.T_world_color, covariance=Ad @ own.covariance @ Ad.T)
         for name, own in rig.cameras.items()
     }
-    return Rig(camera, cameras, rig.quality, rig.provenance)
+    return replace(rig, cameras=cameras)
 
 
 def _side(rig: Rig, name: str, verdict: Verdict) -> Side:
-    expected = rig.quality.get("expected_alignment")
-    measured = rig.quality.get("alignment_on_recording", {}).get("all", {})
     views = rig.quality.get("views_used")
     return Side(
         name,
         verdict,
-        (expected["mean_mm"], expected["p95_mm"], expected["worst_mm"]) if expected else None,
-        measured.get("median_mm"),
+        rig.quality.get("expected_alignment"),
+        rig.quality.get("alignment_on_recording", {}).get("all", {}),
         sum(views.values()) if views else None,
         str(rig.provenance.get("recording", "unknown")),
     )
 
 
-def _pose_covariance(rig: Rig, name: str, frame: str) -> FloatArray | None:
-    """(6, 6) of a camera's left perturbation in the frame of camera `frame`; None where the rig does not know it.
-
-    Covariances are those against the rig's reference, in the world; so the frame must be the reference's.
-    """
-    own = rig.cameras[name]
-    if frame != rig.reference or not np.any(own.covariance):
-        return None
-    Ad = se3.adjoint(se3.inverse(rig.cameras[frame].T_world_color))
-    return np.asarray(Ad @ own.covariance @ Ad.T)
-
-
-def _moved(a: Rig, b: Rig, name: str, frame: str) -> Moved:
-    T_a, T_b = (in_frame(rig, frame).cameras[name].T_world_color for rig in (a, b))
-    center = T_a[:3, 3]
-    step, turn = T_b[:3, 3] - center, so3.log(T_b[:3, :3] @ T_a[:3, :3].T)
-    covariances = [_pose_covariance(rig, name, frame) for rig in (a, b)]
-    known = [C for C in covariances if C is not None]
+def _motion(a: Rig, b: Rig, name: str, frame: str, untested: bool) -> Motion:
+    one, two = (in_frame(rig, frame).cameras[name] for rig in (a, b))
+    center = one.T_world_color[:3, 3]
+    step, turn = two.T_world_color[:3, 3] - center, so3.log(two.T_world_color[:3, :3] @ one.T_world_color[:3, :3].T)
     mm, deg = 1e3 * float(np.linalg.norm(step)), float(np.degrees(np.linalg.norm(turn)))
-    if len(known) < 2:
-        return Moved(name, mm, None, deg, None, None)
+    if untested or not (np.any(one.covariance) and np.any(two.covariance)):
+        return Motion(name, mm, None, deg, None, None, step)
     J = np.eye(6)
     J[3:, :3] = -so3.hat(center)  # of turn and centre, by the left perturbation
-    C = J @ (known[0] + known[1]) @ J.T
+    C = J @ (one.covariance + two.covariance) @ J.T
     d = np.concatenate([turn, step])
     chance = float(chi2.sf(d @ np.linalg.pinv(C, rcond=1e-12, hermitian=True) @ d, 6))
-    return Moved(name, mm, 1e3 * along(step, C[3:, 3:]), deg, float(np.degrees(along(turn, C[:3, :3]))), chance)
+    return Motion(name, mm, 1e3 * along(step, C[3:, 3:]), deg, float(np.degrees(along(turn, C[:3, :3]))), chance, step)
 
 
-def _changed(a: Rig, b: Rig, name: str, frame: str) -> Changed:
+def _changed(a: Rig, b: Rig, name: str, frame: str, independent: bool) -> Changed:
     one, two = a.cameras[name], b.cameras[name]
-    fx, fy, cx, cy = (float(v) for v in two.intrinsics.vector[:4] - one.intrinsics.vector[:4])
     deviations = [own.statistics.get("intrinsics_sd") for own in (one, two)]
-    sd = None
-    if all(d is not None for d in deviations):
-        fx_sd, fy_sd, cx_sd, cy_sd = np.hypot(*(np.asarray(d, float)[:4] for d in deviations)).tolist()
-        sd = (fx_sd, fy_sd, cx_sd, cy_sd)
+    sd_px = None
+    if independent and all(deviations):
+        sd_px = np.hypot(*(np.asarray(d, float)[:4] for d in deviations))
     rms_px = float("nan")
     if (one.intrinsics.width, one.intrinsics.height) == (two.intrinsics.width, two.intrinsics.height):
         rms_px = _rms(change_at(two.intrinsics, one.intrinsics, pixels_over(one.intrinsics, FINE)[2]))
-    return Changed(name, fx, fy, cx, cy, sd, rms_px, _depths(one, two), _effect_mm(a, b, name, frame))
+    difference = two.intrinsics.vector[:4] - one.intrinsics.vector[:4]
+    return Changed(name, difference, sd_px, rms_px, _depths(one, two), _effect_mm(a, b, name, frame))
 
 
 def _depths(one: RigCamera, two: RigCamera) -> tuple[tuple[float, float, float], ...]:
@@ -231,21 +247,24 @@ def _rms(vectors: FloatArray) -> float:
 
 
 def _which(sides: Sequence[Side]) -> str:
-    distrusted = [side.name for side in sides if side.verdict.level == "untrusted"]
-    if len(distrusted) == 2:
-        return "Neither is to be trusted: a self-check failed in both, so that their expected errors do not compare."
-    if distrusted:
-        other = (
-            next(side.name for side in sides if side.name not in distrusted)
-            if sides[0].name != sides[1].name
-            else "the other"
-        )
-        return f"Take {other}: a self-check failed in {distrusted[0]}, and its expected error leaves something out."
-    if any(side.expected_mm is None for side in sides):
-        unknown = [side.name for side in sides if side.expected_mm is None]
-        return f"Which expects less error is not known: {' and '.join(unknown)} has no expected error."
-    (first, a), (second, b) = ((side.name, side.expected_mm[0]) for side in sides if side.expected_mm)
-    if abs(a - b) < 0.05 * max(a, b):
-        return f"Both expect about the same error: {a:.2f} mm and {b:.2f} mm in the mean, each over its own volume."
-    better, worse = ((first, a), (second, b)) if a < b else ((second, b), (first, a))
-    return f"{better[0]} expects less error: {better[1]:.2f} mm in the mean, {worse[0]} {worse[1]:.2f} mm, each over its own volume."
+    failed = [side.name for side in sides if side.verdict.level == "untrusted"]
+    if len(failed) == 2:
+        return "Trust neither: a self-check failed in both, so that their expected errors are not comparable."
+    if failed:
+        other = next(side.name for side in sides if side.name not in failed)
+        return f"{other} is better: a self-check failed in {failed[0]}, whose expected error is not valid."
+    unknown = [side.name for side in sides if side.expected is None]
+    if unknown:
+        return f"It is not known which is better: no expected error in {' and '.join(unknown)}."
+    (first, a), (second, b) = ((side.name, side.expected) for side in sides if side.expected is not None)
+    if a["of"] != b["of"]:
+        return f"It is not known which is better: the expected error of {first} counts {a['of']}, that of {second} {b['of']}."
+    (better, less), (worse, more) = sorted([(first, a), (second, b)], key=lambda row: float(row[1]["mean_mm"]))
+    if more["mean_mm"] - less["mean_mm"] < ALIKE * more["mean_mm"]:
+        return f"Both expect about the same error: {_mm(a)} and {_mm(b)} in the mean, each over its own volume."
+    return f"{better} expects less error: {_mm(less)} in the mean, {worse} {_mm(more)}, each over its own volume."
+
+
+def _mm(expected: Mapping[str, Any]) -> str:
+    mean = expected["mean_mm"]
+    return f"{mean:.0f} mm" if mean >= 100 else f"{mean:.2f} mm"

@@ -21,16 +21,23 @@ class RangeCoverage:
     """Views by region of one camera's image and by distance of the board."""
 
     edges_m: FloatArray
-    """(bands + 1,), the same for all cameras of a rig."""
+    """(bands + 1,), the same for all cameras of a rig; NaN where no distance is known, in one band."""
     counts: IntArray
     """(bands, rows, columns)."""
+
+    @property
+    def labels(self) -> list[str]:
+        """Of the bands."""
+        if len(self.counts) == 1:
+            return ["any distance"]
+        pairs = zip(BANDS, self.edges_m[:-1], self.edges_m[1:], strict=True)
+        return [f"{name}, {low:.1f}-{high:.1f} m" for name, low, high in pairs]
 
     @property
     def empty(self) -> list[str]:
         """Where nothing was filmed, in words, by band."""
         out = []
-        for name, low, high, own in zip(BANDS, self.edges_m[:-1], self.edges_m[1:], self.counts, strict=True):
-            where = f"{name} ({low:.1f} to {high:.1f} m)"
+        for where, own in zip(self.labels, self.counts, strict=True):
             if not own.any():
                 out.append(f"{where}: no view")
             elif not own.all():
@@ -41,29 +48,28 @@ class RangeCoverage:
 
 
 def range_coverage(placed: Sequence[PlacedView], cameras: Sequence[str]) -> dict[str, RangeCoverage]:
-    """By camera; the distances of all views of the rig, split in three equal bands. Empty where no distance is known."""
+    """By camera; the distances of all views of the rig, split in three equal bands; all views in one where no distance is known."""
     distances_m = np.array([v.distance_m for v in placed if np.isfinite(v.distance_m)])
-    if not len(distances_m):
-        return {}
-    edges_m = np.linspace(distances_m.min(), distances_m.max() + 1e-6, len(BANDS) + 1)
+    edges_m = np.full(2, np.nan)
+    if len(distances_m):
+        edges_m = np.linspace(distances_m.min(), distances_m.max() + 1e-6, len(BANDS) + 1)
     params = CoverageParams()
     out = {}
     for name in cameras:
-        counts = np.zeros((len(BANDS), params.region_rows, params.region_columns), int)
+        counts = np.zeros((len(edges_m) - 1, params.region_rows, params.region_columns), int)
         for view in placed:
-            if view.camera == name and np.isfinite(view.distance_m):
-                band = min(int(np.searchsorted(edges_m, view.distance_m, side="right")) - 1, len(BANDS) - 1)
-                counts[max(band, 0)] += view.regions
+            if view.camera == name and (np.isfinite(view.distance_m) or not len(distances_m)):
+                counts[np.searchsorted(edges_m[1:-1], view.distance_m, side="right")] += view.regions
         out[name] = RangeCoverage(edges_m, counts)
     return out
 
 
 def figure(own: RangeCoverage) -> Figure:
-    """Three maps of one image, near to far, in one row."""
+    """Maps of one image, near to far, in one row."""
     top = max(int(own.counts.max()), 1)
     traces, notes = [], []
     layout: Figure = {"height": 150, "margin": {"l": 4, "r": 4, "t": 22, "b": 4}, "showlegend": False}
-    gap, share = 0.02, 1 / len(BANDS)
+    gap, share = 0.02, 1 / len(own.counts)
     for i, counts in enumerate(own.counts):
         n = "" if i == 0 else str(i + 1)
         traces.append(
@@ -86,7 +92,6 @@ def figure(own: RangeCoverage) -> Figure:
         domain = [i * share + gap / 2, (i + 1) * share - gap / 2]
         layout[f"xaxis{n}"] = {"visible": False, "domain": domain}
         layout[f"yaxis{n}"] = {"visible": False, "autorange": "reversed", "anchor": f"x{n}"}
-        text = f"{own.edges_m[i]:.1f}-{own.edges_m[i + 1]:.1f} m"
         notes.append(
             {
                 "x": sum(domain) / 2,
@@ -95,7 +100,8 @@ def figure(own: RangeCoverage) -> Figure:
                 "yref": "paper",
                 "xanchor": "center",
                 "yanchor": "bottom",
-                "text": text,
+                "text": own.labels[i],
+                "font": {"size": 11},
                 "showarrow": False,
             }
         )

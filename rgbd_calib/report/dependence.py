@@ -18,6 +18,7 @@ from rgbd_calib.report.plots import Figure, axes, line, plain
 from rgbd_calib.views.coverage import PlacedView
 
 BINS = 8
+"""At most; fewer where bins would hold too few views."""
 MIN_VIEWS = 3
 """In a bin: fewer say nothing of their scatter."""
 AGAINST = {
@@ -33,28 +34,36 @@ class Trend:
     """Mean of something over views, in bins of something else."""
 
     at: FloatArray
-    """(n,), middles of the bins that hold enough."""
+    """(n,), means of x in the bins."""
     mean: FloatArray
     error: FloatArray
     """(n,), standard errors of the means."""
 
 
 def trend(x: FloatArray, values: FloatArray, view: np.ndarray) -> Trend:
-    """Values (n,) in bins of x (n,); `view` (n,) says which belong together. NaN are left out."""
+    """Values (n,) in bins of x (n,) of equal counts, as many as hold enough views, two at least; none where there are too few.
+
+    `view` (n,) says which belong together. NaN are left out.
+    """
     ok = np.isfinite(x) & np.isfinite(values)
     x, values, view = x[ok], values[ok], view[ok]
-    if not len(x) or np.ptp(x) == 0:
-        return Trend(*np.empty((3, 0)))
-    edges = np.linspace(x.min(), x.max(), BINS + 1)
-    number = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
-    rows = []
-    for b in range(BINS):
-        _, group = np.unique(view[number == b], return_inverse=True)
-        n = np.bincount(group)
-        if len(n) >= MIN_VIEWS:
-            means = np.bincount(group, values[number == b]) / n
-            rows.append(((edges[b] + edges[b + 1]) / 2, means.mean(), means.std(ddof=1) / np.sqrt(len(n))))
-    return Trend(*np.array(rows, float).reshape(-1, 3).T)
+    for bins in range(BINS, 1, -1) if len(x) else ():
+        edges = np.quantile(x, np.arange(1, bins) / bins)
+        number = np.searchsorted(edges, x, side="right")
+        rows = [_mean(x[own], values[own], view[own]) for own in (number == b for b in range(bins))]
+        if None not in rows:
+            return Trend(*np.array(rows, float).T)
+    return Trend(*np.empty((3, 0)))
+
+
+def _mean(x: FloatArray, values: FloatArray, view: np.ndarray) -> tuple[float, float, float] | None:
+    """Mean of x, mean over views of the views' means, and its standard error; None of too few views."""
+    _, group = np.unique(view, return_inverse=True)
+    n = np.bincount(group)
+    if len(n) < MIN_VIEWS:
+        return None
+    means = np.bincount(group, values) / n
+    return float(x.mean()), float(means.mean()), float(means.std(ddof=1) / np.sqrt(len(n)))
 
 
 def against(r: Residuals, sensor: Sensor, placed: Mapping[tuple[str, str], PlacedView]) -> dict[str, FloatArray]:

@@ -21,6 +21,8 @@ MAX_SIDE = 40
 SLICES = 3
 LIMITS_MM = (0.5, 1.0, 2.0, 5.0, 10.0)
 _STEPS_MM = [float(f"{m}e{e}") for e in range(-3, 5) for m in (1, 2, 5)]
+TOP_MEDIANS = 4.0
+"""Colours end at so many medians at most."""
 _LINES = 10
 """Contour lines at most."""
 
@@ -37,8 +39,14 @@ class ErrorGrid:
 
     @property
     def top_mm(self) -> float:
-        """What colours end at: few places are worse."""
-        return float(np.nanpercentile(self.error_mm, 98))
+        """What colours end at."""
+        return top_mm(self.error_mm)
+
+
+def top_mm(error_mm: FloatArray) -> float:
+    """What colours end at: few places are worse, and a few of enormous error do not make all others look good."""
+    error_mm = error_mm[np.isfinite(error_mm)]
+    return min(float(np.percentile(error_mm, 98)), TOP_MEDIANS * float(np.median(error_mm))) if len(error_mm) else 1.0
 
 
 def points_of(quality: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
@@ -132,7 +140,7 @@ def _chosen(error_mm: FloatArray, axis: int) -> list[int]:
     if len(filled) <= SLICES:
         return filled
     inner = np.linspace(0, len(filled) - 1, SLICES + 2)[1:-1]
-    return [filled[round(i)] for i in inner]
+    return [filled[i] for i in dict.fromkeys(round(i) for i in inner)]
 
 
 def _contour(grid: ErrorGrid, x: FloatArray, y: FloatArray, z: FloatArray) -> dict[str, Any]:

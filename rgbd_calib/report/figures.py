@@ -28,34 +28,6 @@ _ARROW_SHARE = 0.9  # of a cell
 _LOG_TICKS = [float(f"{m}e{e}") for e in range(-4, 5) for m in (1, 1.5, 2, 3, 5, 7)]
 
 
-def coverage_map(coverage: CameraCoverage) -> Figure:
-    """How many views put a corner into each region of one image."""
-    counts = coverage.regions
-    return {
-        "data": [
-            {
-                "type": "heatmap",
-                "z": counts.tolist(),
-                "text": counts.tolist(),
-                "texttemplate": "%{text}",
-                "hovertemplate": "%{z} views<extra></extra>",
-                "colorscale": [[0, "#f3d9d3"], [0.001, "#eef3f7"], [1, "#4f86b8"]],
-                "zmin": 0,
-                "zmax": max(int(counts.max()), 1),
-                "showscale": False,
-                "xgap": 2,
-                "ygap": 2,
-            }
-        ],
-        "layout": {
-            "height": 200,
-            "margin": {"l": 8, "r": 8, "t": 8, "b": 8},
-            "xaxis": {"visible": False},
-            "yaxis": {"visible": False, "autorange": "reversed", "scaleanchor": "x"},
-        },
-    }
-
-
 def depth_ranges(coverage: Mapping[str, CameraCoverage], params: CoverageParams) -> Figure:
     """Views of each camera by distance of the board."""
     edges = params.distance_edges_m
@@ -72,7 +44,7 @@ def depth_ranges(coverage: Mapping[str, CameraCoverage], params: CoverageParams)
 
 def views(rows: Sequence[ViewResidual], cameras: Sequence[str], depth: bool) -> Figure:
     """RMS of every view, in px or of depth in mm; crosses are views that were left out."""
-    order = list(dict.fromkeys(row.frame for row in rows))
+    order = list(dict.fromkeys(row.frame.replace(" alone: ", " ") for row in rows))
     traces = []
     for i, name in enumerate(cameras):
         for used in (True, False):
@@ -85,7 +57,7 @@ def views(rows: Sequence[ViewResidual], cameras: Sequence[str], depth: bool) -> 
                     "type": "scatter",
                     "mode": "markers",
                     "name": name if used else f"{name}, left out",
-                    "x": [r.frame for r in own],
+                    "x": [r.frame.replace(" alone: ", " ") for r in own],
                     "y": plain(np.round(values, 4)),
                     "marker": {"color": css_color(i), "size": 7 if used else 10, "symbol": "circle" if used else "x"},
                 }

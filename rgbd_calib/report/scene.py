@@ -13,7 +13,8 @@ import numpy as np
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.report.plots import Figure, css_color, plain
+from rgbd_calib.report.error_map import top_mm
+from rgbd_calib.report.plots import Figure, css_color, longest, plain
 from rgbd_calib.types import Board, Rig, RigCamera
 
 _FRUSTUM_SHARE = 0.1  # depth of a frustum, as share of the rig's extent
@@ -58,6 +59,30 @@ def scene(
     return {"data": traces, "layout": _layout(rig)}
 
 
+def scene_of_two(first: Rig, second: Rig, grid_m: FloatArray, error_mm: FloatArray) -> tuple[Figure, float]:
+    """Two rigs in one frame, the second dashed, with the volume (n, 3) of the first and its error (n,).
+
+    Lines lead from each optical centre where it went, lengthened; by how much is returned too.
+    """
+    places = [own.T_world_color[:3, 3] for rig in (first, second) for own in rig.cameras.values()]
+    extent_m = float(np.max(np.ptp(np.concatenate([places, grid_m]), axis=0))) or 1.0
+    traces = [_volume(grid_m, error_mm, hidden=True)] if len(grid_m) else []
+    names = list(dict.fromkeys([*first.cameras, *second.cameras]))
+    for i, name in enumerate(names):
+        for rig, which, dash in ((first, "first", "solid"), (second, "second", "dash")):
+            if name in rig.cameras:
+                lines, label = _frustum(name, rig.cameras[name], None, _FRUSTUM_SHARE * extent_m, css_color(i))
+                lines["line"]["dash"], lines["name"] = dash, f"{name}, {which}"
+                traces += [lines, label] if rig is first or name not in first.cameras else [lines]
+    both = [name for name in names if name in first.cameras and name in second.cameras]
+    start, end = (np.array([rig.cameras[name].T_world_color[:3, 3] for name in both]) for rig in (first, second))
+    scale = longest(end - start, 2 * _FRUSTUM_SHARE * extent_m)
+    gap = np.full_like(start, np.nan)
+    path = np.stack([start, start + scale * (end - start), gap], axis=1).reshape(-1, 3)
+    traces.append(_lines("motion, magnified", path, "#222222", 6))
+    return {"data": traces, "layout": _layout(first)}, scale
+
+
 def _cloud(cloud: MovedCloud, color: str) -> dict[str, Any]:
     return {
         "type": "scatter3d",
@@ -75,7 +100,6 @@ def _xyz(points_m: FloatArray, digits: int) -> dict[str, Any]:
 
 
 def _volume(grid_m: FloatArray, error_mm: FloatArray, hidden: bool) -> dict[str, Any]:
-    top = float(np.percentile(error_mm, 98))
     return {
         "type": "scatter3d",
         "mode": "markers",
@@ -91,7 +115,7 @@ def _volume(grid_m: FloatArray, error_mm: FloatArray, hidden: bool) -> dict[str,
             "colorscale": "Viridis",
             "reversescale": True,
             "cmin": 0,
-            "cmax": top,
+            "cmax": top_mm(error_mm),
             "colorbar": {
                 "title": {"text": "expected error, mm", "side": "right"},
                 "thickness": 12,

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.residuals import Residuals
 from rgbd_calib.report import (
     camera_pages,
@@ -94,11 +93,9 @@ def coverage(drawn: Drawn, rig: Rig, placed: Sequence[PlacedView]) -> Covered:
     own = numbers.coverage_of_rig(rig, placed)
     ranges = coverage_map.range_coverage([v for v in placed if v.camera in rig.cameras], list(rig.cameras))
     for i, name in enumerate(rig.cameras):
-        drawn[f"coverage_{i}"] = (
-            coverage_map.figure(ranges[name]) if ranges else figures.coverage_map(own.cameras[name])
-        )
+        drawn[f"coverage_{i}"] = coverage_map.figure(ranges[name])
     drawn["depth_ranges"] = figures.depth_ranges(own.cameras, CoverageParams())
-    return Covered(own, {name: ranges[name].empty if ranges else [] for name in rig.cameras})
+    return Covered(own, {name: ranges[name].empty for name in rig.cameras})
 
 
 def cameras(drawn: Drawn, rig: Rig, left: Residuals | None, start: Rig | None, at_m: float) -> list[dict[str, Any]]:
@@ -110,12 +107,12 @@ def cameras(drawn: Drawn, rig: Rig, left: Residuals | None, start: Rig | None, a
         first = start.cameras[name].intrinsics if start is not None and name in start.cameras else None
         page: dict[str, Any] = {"name": name, "id": i, "depth": [], "beside": None, "changed": None, "lens": lens}
         page["parameters"] = camera_pages.parameters(lens, own.statistics.get("intrinsics_sd"), first)
-        drawn[f"lens_{i}"], scale, top = _over(
+        drawn[f"lens_{i}"], scale, top = camera_pages.shift_over_image(
             lens, lambda p, lens=lens: camera_pages.distortion_at(lens, p), "distortion"
         )
         page["distortion"] = {"scale": scale, "top": top}
         if first is not None and (first.width, first.height) == (lens.width, lens.height) and first != lens:
-            drawn[f"changed_{i}"], scale, top = _over(
+            drawn[f"changed_{i}"], scale, top = camera_pages.shift_over_image(
                 lens, lambda p, a=lens, b=first: camera_pages.change_at(a, b, p), "change"
             )
             page["changed"] = {"scale": scale, "top": top}
@@ -212,10 +209,6 @@ def rounds(drawn: Drawn, rig: Rig, at_m: float) -> None:
     weight = [{n: 1e3 * d[n] / p[n] for n in d if n in p} for d, p in zip(depth, pixel, strict=True)]
     drawn["rounds_depth"] = figures.rounds([{"x": d} for d in depth], "x", "depth noise, mm", 1e3, names)
     drawn["rounds_weight"] = figures.rounds([{"x": w} for w in weight], "x", "mm of depth worth 1 px", 1.0, names)
-
-
-def _over(lens: Intrinsics, shift: Any, what: str) -> tuple[Figure, float, float]:
-    return camera_pages.shift_over_image(lens, shift, what)
 
 
 def _has(left: Residuals | None, name: str) -> bool:

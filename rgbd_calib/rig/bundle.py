@@ -18,6 +18,7 @@ from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig import faces, observability, outliers, solve
 from rgbd_calib.rig.blocks import Boards
+from rgbd_calib.rig.blocks.registration import turn_of_rays
 from rgbd_calib.rig.common_errors import common_errors
 from rgbd_calib.rig.local_field import local_fields
 from rgbd_calib.rig.observations import Walls, observe
@@ -175,6 +176,7 @@ def _round(problem: Problem, state: State, n_dropped: int) -> tuple[Problem, Sta
     """Solve and weigh once: what changed of the weights, and what to tell of it."""
     params = problem.setup.params
     minimum = solve.minimize(problem, state, params.max_iterations, params.round_tolerance)
+    problem = replace(problem, wall_rays=_wall_rays(problem, minimum.state))
     with_fields = replace(problem, local=local_fields(problem, minimum.state))
     covariance = solve.covariance(with_fields, minimum.state)
     weights = reweighted(with_fields, minimum.state, covariance)
@@ -182,6 +184,15 @@ def _round(problem: Problem, state: State, n_dropped: int) -> tuple[Problem, Sta
     moved = max(problem.weights.change(weights), change)
     told = _told(minimum.cost, weights, n_dropped)
     return replace(tuned, weights=weights), minimum.state, moved, (minimum.iterations, told)
+
+
+def _wall_rays(problem: Problem, state: State) -> FloatArray:
+    """Rays (W, N, 2) of the cells of walls, by the lenses and the registration of a state."""
+    walls, out = problem.setup.walls, problem.setup.wall_rays(state.intrinsics)
+    for c in np.unique(walls.camera):
+        mine = walls.camera == c
+        out[mine] -= turn_of_rays(problem.blocks, state.values, int(c), walls.pixels_px[mine], walls.depth_m[mine])
+    return out
 
 
 def _concluded(problem: Problem, state: State, course: Course) -> Solution:

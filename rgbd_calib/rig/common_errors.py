@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rgbd_calib.geometry.linear import BoolArray, Covariance, IntArray, product
+from rgbd_calib.geometry.linear import BoolArray, Covariance, IntArray, NormalEquations, product
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import Kind
 from rgbd_calib.rig.observations import Observations
@@ -51,14 +51,69 @@ class CommonErrors:
     """(P, P) that they add to the global parameters'."""
 
 
+@dataclass(frozen=True)
+class _Sums:
+    """Of the weighted residuals in each of K cells; F units of D unknowns, P globals."""
+
+    n: FloatArray
+    """(K,), how many."""
+    total: FloatArray
+    """(K,), of the residuals."""
+    in_pose: FloatArray
+    """(K,), variance that the pose parts add to `total`."""
+    by_global: FloatArray
+    """(K, P), of the rows of the Jacobian."""
+    by_unit: FloatArray
+    """(F, K, D)."""
+
+
 def common_errors(problem: Problem, state: State, cov: Covariance) -> CommonErrors:
     """Estimate what residuals share at the minimum, from its equations."""
-    obs, weights, sizes_px = problem.obs, problem.weights, problem.setup.sizes_px
-    cells = _cells(obs, sizes_px)
+    sums = _sums(problem, state, None)
+    n, (K, P) = sums.n, sums.by_global.shape
+    reduced = _reduced(sums, cov.equations)
+    moved = reduced @ cov.of_globals  # A^-1 s_k
+    tau = []
+    covariance = np.zeros((P, P))
+    for mine in _groups(K):
+        kept = np.flatnonzero(mine & (n >= MIN_CORNERS))
+        by_unit = sums.by_unit[:, kept]
+        solved = cov.equations.unit_solved(by_unit.transpose(0, 2, 1)).transpose(0, 2, 1)
+        own = moved[kept] @ reduced[kept].T + product(solved, by_unit)
+        expected = np.sum((n[kept] + sums.in_pose[kept] - np.diag(own)) / n[kept])
+        growth = np.sum((np.diag(n[kept]) - own) ** 2 / n[kept, None])
+        tau2 = max(0.0, float(np.sum(sums.total[kept] ** 2 / n[kept]) - expected) / growth) if growth > 0 else 0.0
+        covariance += tau2 * moved[kept].T @ moved[kept]
+        tau.append(float(np.sqrt(tau2)))
+    return CommonErrors(tau[0], tau[1], np.array(tau[2:]), covariance)
+
+
+def common_gradients(
+    common: CommonErrors, problem: Problem, state: State, eq: NormalEquations, views: IntArray
+) -> FloatArray:
+    """tau s_k (K, P) of the cells in views of whole units, the units eliminated: what one standard deviation of a cell's
+    error adds to the reduced gradient."""
+    out = _reduced(_sums(problem, state, views), eq)
+    for mine, tau in zip(_groups(len(out)), (common.pixel, common.depth, *common.depth_image), strict=True):
+        out[mine] *= tau
+    return out
+
+
+def _groups(n: int) -> list[BoolArray]:
+    """Which of n cells have one variance: those of the pixels, those of the range, and those of each camera's depth image."""
+    camera, cell = np.divmod(np.arange(n), N_CELLS)
+    of_range, of_image = cell >= N_PIXEL_CELLS, cell >= N_PIXEL_CELLS + RANGE_CELLS
+    return [~of_range, of_range & ~of_image, *(of_image & (camera == c) for c in range(n // N_CELLS))]
+
+
+def _sums(problem: Problem, state: State, some: IntArray | None) -> _Sums:
+    """Of all views, or of some."""
+    weights, sizes_px = problem.weights, problem.setup.sizes_px
+    cells = _cells(problem.obs, sizes_px)
     K, F, P, D = len(sizes_px) * N_CELLS, problem.pattern.n_units, problem.n_globals, problem.unit_size
     n, total, in_pose = np.zeros(K), np.zeros(K), np.zeros(K)
     by_global, by_unit = np.zeros((K, P)), np.zeros((F, K, D))
-    for views, look, rows in problem.rows(state):
+    for views, look, rows in problem.rows(state, some):
         of_pixels = look.kind is Kind.PIXEL
         Q, ratio = (weights.Q_pixel, weights.ratio_pixel) if of_pixels else (weights.Q_depth, weights.ratio_depth)
         used = (np.abs(rows.J_unit).max(axis=-1) > 0) | (np.abs(rows.J).max(axis=-1) > 0)
@@ -77,29 +132,15 @@ def common_errors(problem: Problem, state: State, cov: Covariance) -> CommonErro
             sums = np.zeros((pairs.shape[1], Q.shape[2]))
             np.add.at(sums, which.ravel(), Q[views[view], place])
             in_pose += np.bincount(pairs[1], sums**2 @ (ratio**2 - 1), minlength=K)
-    eq = cov.equations
-    reduced = by_global.copy()
+    return _Sums(n, total, in_pose, by_global, by_unit)
+
+
+def _reduced(sums: _Sums, eq: NormalEquations) -> FloatArray:
+    """s_k (K, P), the units eliminated."""
+    reduced = sums.by_global.copy()
     for WV, units, at in zip(eq.WV, eq.pattern.units, eq.pattern.columns, strict=True):
-        reduced[:, at] -= np.einsum("npi,nki->kp", WV, by_unit[units], optimize=True)
-    moved = reduced @ cov.of_globals  # A^-1 s_k
-    absorbed = moved @ reduced.T + product(eq.unit_solved(by_unit.transpose(0, 2, 1)).transpose(0, 2, 1), by_unit)
-    covariance = np.zeros((P, P))
-
-    def shared(mine: BoolArray) -> float:
-        """tau of some cells; the covariance grows by what they share."""
-        nonlocal covariance
-        kept = np.flatnonzero(mine & (n >= MIN_CORNERS))
-        own = absorbed[np.ix_(kept, kept)]
-        expected = np.sum((n[kept] + in_pose[kept] - np.diag(own)) / n[kept])
-        growth = np.sum((np.diag(n[kept]) - own) ** 2 / n[kept, None])
-        tau2 = max(0.0, float(np.sum(total[kept] ** 2 / n[kept]) - expected) / growth) if growth > 0 else 0.0
-        covariance += tau2 * moved[kept].T @ moved[kept]
-        return float(np.sqrt(tau2))
-
-    camera, cell = np.divmod(np.arange(K), N_CELLS)
-    kind = np.searchsorted(np.cumsum([N_PIXEL_CELLS, RANGE_CELLS]), cell, side="right")
-    over_image = np.array([shared((kind == 2) & (camera == c)) for c in range(len(sizes_px))])
-    return CommonErrors(shared(kind == 0), shared(kind == 1), over_image, covariance)
+        reduced[:, at] -= np.einsum("npi,nki->kp", WV, sums.by_unit[units], optimize=True)
+    return reduced
 
 
 def _cells(obs: Observations, sizes_px: FloatArray) -> IntArray:

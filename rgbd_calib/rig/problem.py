@@ -26,11 +26,11 @@ from rgbd_calib.rig.blocks import (
     DepthErrorBlock,
     Kind,
     PointBlock,
-    Registration,
     Scope,
     WallPlanes,
 )
 from rgbd_calib.rig.blocks.board_shape import nominal_corners_m
+from rgbd_calib.rig.blocks.registration import turn_of_rays
 from rgbd_calib.rig.observations import Observations
 from rgbd_calib.rig.setup import Setup
 from rgbd_calib.rig.sight import Look, Sight, sight_of
@@ -87,6 +87,8 @@ class Problem:
     blocks: tuple[Block, ...]
     obs: Observations
     weights: Weights
+    wall_rays: FloatArray
+    """(W, N, 2), of the cells of walls; by the lenses as they are known between the rounds."""
     local: tuple[LocalField | None, ...] = ()
     """By camera, the pattern of its depth that is known between the rounds; empty: none."""
     unit_size: int = 6
@@ -97,9 +99,8 @@ class Problem:
     def of(cls, setup: Setup, blocks: Sequence[type[Block]] = ESTIMATED) -> Problem:
         made = tuple(block(setup) for block in blocks if block.name not in setup.params.hold and block.applies(setup))
         usual = {c.name: c.usual for block in made for c in block.prior().components}
-        return cls(
-            setup, made, setup.obs, Weights.first(setup.obs, setup.walls, len(setup.cameras), usual, setup.params)
-        )
+        weights = Weights.first(setup.obs, setup.walls, len(setup.cameras), usual, setup.params)
+        return cls(setup, made, setup.obs, weights, setup.wall_rays(setup.intrinsics))
 
     # ------------------------------------------------------------------------------------------------ parameters
 
@@ -243,12 +244,8 @@ class Problem:
             lens = self.setup.priors[c].intrinsics
             look = terms.look_at_plane(sight, lens, state.intrinsics[c], corrected, slope)
             return replace(look, values=self._of_depth(state, c))
-        shift = np.zeros(obs.pixels_px.shape)
-        for block in self.blocks:
-            if isinstance(block, Registration) and np.any(state.values[block.name][c]):
-                shift += block.by_parameters(c, obs.pixels_px, obs.depth_m) @ state.values[block.name][c]
-        look = self.depth_rows(sight, self.setup.priors[c].intrinsics, shift, corrected, slope)
-        return replace(look, values=self._of_depth(state, c))
+        turn = turn_of_rays(self.blocks, state.values, c, obs.pixels_px, obs.depth_m)
+        return replace(self.depth_rows(sight, turn, corrected, slope), values=self._of_depth(state, c))
 
     depth_rows = staticmethod(terms.look_at_depth)
 
@@ -261,7 +258,7 @@ class Problem:
                 continue
             tape = state.values["tape"][c, 0] if "tape" in self.parts else 0.0
             at, z = walls.pixels_px[mine], walls.depth_m[mine]
-            rays = self.setup.wall_rays[mine]
+            rays = self.wall_rays[mine]
             distance_m = walls.written_m[mine] + tape
             ahead, by_wall = state.walls.ahead(mine, distance_m, walls.tilts[mine], np.nan_to_num(rays))
             corrected, slope = self.corrected(state, c, at, z)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -176,11 +175,20 @@ class Setup:
         """(C, 2), width and height of the images."""
         return np.array([prior.intrinsics.size_px for prior in self.priors])
 
-    @cached_property
-    def wall_rays(self) -> FloatArray:
-        """(W, N, 2), of the cells of walls by the lenses at the start; NaN where there is none."""
+    @property
+    def intrinsics(self) -> FloatArray:
+        """(C, 4 + the longest lens), the start."""
+        out = np.zeros((len(self.priors), max(len(prior.intrinsics.vector) for prior in self.priors)))
+        for row, prior in zip(out, self.priors, strict=True):
+            row[: len(prior.intrinsics.vector)] = prior.intrinsics.vector
+        return out
+
+    def wall_rays(self, intrinsics: FloatArray) -> FloatArray:
+        """(W, N, 2), of the cells of walls by lenses (C, 4 + the longest); NaN where there is none."""
         out = np.zeros(self.walls.pixels_px.shape)
         for c, prior in enumerate(self.priors):
-            mine = self.walls.camera == c
-            out[mine] = prior.intrinsics.rays(self.walls.pixels_px[mine])[..., :2]
+            mine, start = self.walls.camera == c, prior.intrinsics
+            if mine.any():
+                lens = start.with_vector(intrinsics[c, : len(start.vector)])
+                out[mine] = lens.rays(self.walls.pixels_px[mine])[..., :2]
         return out

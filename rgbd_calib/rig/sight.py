@@ -60,7 +60,7 @@ class Look:
     by_normal: FloatArray | None = None
     """(n, N, r, 3), by the board's normal in the parent's frame; of depth on a board."""
     by_shift: FloatArray | None = None
-    """(n, N, 2), by a shift of the depth image against the colour image, m/px; of depth on a board."""
+    """(n, N, 2), by a turn of the depth image's rays against those of the colour image, metres; of depth on a board."""
     by_lens: FloatArray | None = None
     """(n, N, r, 4 + k), by the intrinsics; of pixels, and of depth that is read where no corner was seen."""
     slope: FloatArray | None = None

@@ -46,27 +46,24 @@ def look_at_pixels(sight: Sight, lens: Intrinsics, values: FloatArray) -> Look:
     return Look(Kind.PIXEL, sight.camera, obs.pixels_px, obs.depth_m, left, sight, by_point, by_lens=padded)
 
 
-def look_at_depth(
-    sight: Sight, lens: Intrinsics, shift_px: FloatArray, corrected_m: FloatArray, slope: FloatArray
-) -> Look:
+def look_at_depth(sight: Sight, turn: FloatArray, corrected_m: FloatArray, slope: FloatArray) -> Look:
     """Rows of the corners' depth.
 
     Parameters
     ----------
-    shift_px : (n, N, 2), of the depth image against the colour image.
+    turn : (n, N, 2), of the rays (x, y, 1) of the depth image against those of the colour image.
     corrected_m, slope : (n, N), measured depth as the state corrects it, and its slope by the reported one.
     """
     obs, p, n = sight.obs, sight.p_color, sight.normal_color[:, None]
-    f = np.array([lens.fx, lens.fy])
     z, distance = p[..., 2], np.sum(n * p, axis=-1)
     distance = np.where(np.abs(distance) > LEAST_COS * z, distance, np.inf)
-    along = np.sum(n[..., :2] * shift_px / f, axis=-1)
+    along = np.sum(n[..., :2] * turn, axis=-1)
     s = z * along / distance
     ahead = z / (1 - s)
     by_s = (z / (1 - s) ** 2)[..., None]
     axis = np.array([0.0, 0.0, 1.0])
     s_by_point = (along / distance)[..., None] * axis - (z * along / distance**2)[..., None] * n
-    s_by_normal = np.concatenate([shift_px / f, np.zeros((*z.shape, 1))], axis=-1) * (z / distance)[..., None]
+    s_by_normal = np.concatenate([turn, np.zeros((*z.shape, 1))], axis=-1) * (z / distance)[..., None]
     s_by_normal = s_by_normal - (z * along / distance**2)[..., None] * p
     by_point = (axis / (1 - s)[..., None] + by_s * s_by_point) / slope[..., None]
     R = sight.R_color_parent
@@ -79,7 +76,7 @@ def look_at_depth(
         sight,
         (by_point @ R)[:, :, None],
         by_normal=(by_s * s_by_normal / slope[..., None] @ R)[:, :, None],
-        by_shift=by_s * n[..., :2] / f * (z / distance / slope)[..., None],
+        by_shift=by_s * n[..., :2] * (z / distance / slope)[..., None],
         slope=slope,
     )
 

@@ -7,17 +7,13 @@ Coefficients are those of real devices up to a few per cent: Azure Kinect (ratio
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 
 from rgbd_calib.geometry import se3, so3
-from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.geometry.camera import Intrinsics, LensKind
 from rgbd_calib.simulation.realism import Realism
 from rgbd_calib.types import DepthCamera
-
-LensKind = Literal["brown", "rational", "fisheye"]
-LENS_KINDS: tuple[LensKind, ...] = ("brown", "rational", "fisheye")
 
 _RATIONAL_COLOR = (0.51, -2.65, 0.0006, -0.0003, 1.55, 0.39, -2.47, 1.48)
 _RATIONAL_DEPTH = (5.26, 3.58, 0.0, 0.0, 0.189, 5.59, 5.21, 1.01)

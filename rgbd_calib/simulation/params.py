@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from rgbd_calib.geometry.camera import LensKind
 from rgbd_calib.simulation.clocks import WaveParams
 from rgbd_calib.simulation.color_sensor import ColorNoise
 from rgbd_calib.simulation.depth_sensor import DepthNoise
-from rgbd_calib.simulation.lenses import LensKind
 from rgbd_calib.simulation.realism import IDEAL, Realism
 from rgbd_calib.simulation.rig import Layout, Sensor
 from rgbd_calib.simulation.time_of_flight import TimeOfFlight

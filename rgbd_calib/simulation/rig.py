@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 
 from rgbd_calib.geometry import se3, so3
-from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.geometry.camera import Intrinsics, LensKind
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation.depth_field import SensorField, stereo, structured_light
-from rgbd_calib.simulation.lenses import LensKind, color_lens, depth_camera, factory_calibration
+from rgbd_calib.simulation.lenses import color_lens, depth_camera, factory_calibration
 from rgbd_calib.simulation.realism import Realism
 from rgbd_calib.simulation.time_of_flight import nodes_px, time_of_flight_field
 from rgbd_calib.types import DepthBias, DepthCamera, RigCamera

@@ -12,13 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from rgbd_calib.geometry import se3, so3
-from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.geometry.camera import Intrinsics, LensKind
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.correspondences import write_corners
 from rgbd_calib.io.recording import CameraInfo, write_dataset
 from rgbd_calib.io.tables import write_table
 from rgbd_calib.simulation.depth_sensor import biased
-from rgbd_calib.simulation.lenses import LensKind
 from rgbd_calib.simulation.printed import printed
 from rgbd_calib.simulation.realism import IDEAL, Realism
 from rgbd_calib.simulation.rig import Layout, true_rig, with_errors, with_lenses

@@ -12,8 +12,8 @@ One frame's board may be read from either side: the choice of its first view is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -39,6 +39,16 @@ class AssociationParams:
 
 
 @dataclass(frozen=True)
+class Cause:
+    """Why frames do not agree."""
+
+    text: str
+    """A clause."""
+    advice: str
+    """A sentence without its full stop."""
+
+
+@dataclass(frozen=True)
 class PairVotes:
     """What the frames say of two cameras."""
 
@@ -49,6 +59,8 @@ class PairVotes:
     rival_votes: int
     """The most frames that agree with a pose from other choices: equal votes mean that nothing decides."""
     T_a_b: FloatArray
+    cause: Cause | None = None
+    """Where few agree: another description of the board with which most would."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +92,7 @@ def associate(
         nothing decides.
     """
     params = params or AssociationParams()
-    pairs = _vote(_by_frame(views), _motions(board), params)
+    pairs = _explained(_vote(_by_frame(views), _motions(board), params), views, board, params)
     _check_connected(cameras, pairs)
     T_world_color = _chain(reference, cameras, pairs)
     placed, dropped = label_views(views, board, T_world_color, params)
@@ -138,6 +150,60 @@ def _vote(
     return [_best_of(pair, np.stack(listed), params) for pair, listed in sorted(candidates.items())]
 
 
+def _explained(
+    pairs: list[PairVotes], views: Sequence[PosedView], board: Board, params: AssociationParams
+) -> list[PairVotes]:
+    """With the cause of few votes, where another description of the board has most frames agree."""
+    poor = {p.cameras for p in pairs if p.frames > 2 and p.votes < MIN_AGREEING * p.frames}
+    causes: dict[tuple[str, str], Cause] = {}
+    concerned = [v for v in views if any(v.view.camera in pair for pair in poor)]
+    for cause, read, motions in _other_readings(concerned, board):
+        told = _vote(_by_frame(read), motions, params)
+        causes |= {p.cameras: cause for p in told if p.cameras in poor and p.votes > MIN_AGREEING * p.frames}
+    return [replace(p, cause=causes.get(p.cameras)) for p in pairs]
+
+
+def _other_readings(
+    views: Sequence[PosedView], board: Board
+) -> Iterator[tuple[Cause, Sequence[PosedView], list[Motion]]]:
+    """What people have otherwise than stated, and the views and motions that would be right."""
+    for camera in sorted({v.view.camera for v in views}):
+        cause = Cause(
+            f"the images of {camera} are mirrored against those of the other camera",
+            f"Switch mirroring off where {camera} is recorded, or flip its colour and depth images left to right",
+        )
+        for axis in (0, 1):  # a mirrored print is read as the print again, by another corner
+            read = [
+                replace(v, T_color_face=_mirrored(v.T_color_face, board, axis)) if v.view.camera == camera else v
+                for v in views
+            ]
+            yield cause, read, _motions(board)
+    if (other := _other_board(board)) is not None:
+        yield other[0], views, other[1]
+
+
+def _mirrored(T_color_face: FloatArray, board: Board, axis: int) -> FloatArray:
+    """Pose of a face in the image flipped left to right, its corners in reverse order along one axis of the board."""
+    of_image, of_face = np.diag([-1.0, 1, 1, 1]), np.eye(4)
+    of_face[axis, axis], of_face[axis, 3] = -1, board.grid[-1][axis] * board.square_m
+    return np.asarray(of_image @ T_color_face @ of_face)
+
+
+def _other_board(board: Board) -> tuple[Cause, list[Motion]] | None:
+    """What people misstate of a board with two faces, and the motions that would be right."""
+    if board.two_sided and board.symmetric:
+        return None
+    back = (True, board.two_sided, board.T_face_board(True, board.two_sided))
+    cause = Cause("the board shows both of its faces", "Add two_sided: true and the thickness to dataset.yaml")
+    if board.two_sided:
+        cause = Cause(
+            "the back's corners are rotated by 180° against the stated board, so that cols and rows are exchanged, or the "
+            "back is glued upside down",
+            "Exchange cols and rows in dataset.yaml",
+        )
+    return cause, [(False, False, np.eye(4)), back]
+
+
 def _best_of(pair: tuple[str, str], relative: FloatArray, params: AssociationParams) -> PairVotes:
     """The relative pose with most votes among (frames, motions, 4, 4); ties go to the tightest."""
     n_frames, n_motions = relative.shape[:2]
@@ -183,6 +249,11 @@ def _chain(reference: str, cameras: Sequence[str], pairs: Sequence[PairVotes]) -
         reach = [p for p in pairs if (p.cameras[0] in placed) != (p.cameras[1] in placed)]
         best = max(reach, key=lambda p: (p.votes - p.rival_votes, p.votes))
         a, b = best.cameras
+        if best.cause:
+            raise CalibrationError(
+                f"{a} and {b}: {best.votes} of {best.frames} common frames agree on the relative pose, {MIN_AGREEING:.0%} at "
+                f"least are needed: {best.cause.text}. {best.cause.advice}"
+            )
         if best.votes <= best.rival_votes and best.votes < MIN_AGREEING * best.frames and best.frames > 2:
             raise CalibrationError(
                 f"{a} and {b}: {best.votes} of {best.frames} common frames agree on the relative pose, not more than agree by "

@@ -93,9 +93,7 @@ def with_carried_lenses(rig: Rig, to: str, carried: Sequence[Carried], max_px: f
         try:
             fits = [(as_model(lens, own.model, own.n), own) for own in carried]
         except ValueError as error:
-            raise ConfigError(
-                f"{name}: {error}; {to} needs another lens. Calibrate it with `--model kannala_brandt`"
-            ) from None
+            raise ConfigError(f"{name}: {error}; {to} needs another lens. Calibrate it with `--lens fisheye`") from None
         best, own = min(fits, key=lambda fit: fit[0].max_px)
         off = f"{best.max_px:.2g} px at most, {best.rms_px:.2g} px RMS"
         if not best.max_px <= max_px:

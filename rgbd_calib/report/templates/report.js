@@ -31,6 +31,7 @@ function draw(id) {
     return Plotly.newPlot(id, data, mine, Object.assign({}, options, { scrollZoom: !finger }));
   }
   if (finger) mine.dragmode = false;
+  if (narrow && mine.xaxis && mine.xaxis.type === "category") mine.xaxis.nticks = 5;
   return Plotly.newPlot(id, data, mine, options);
 }
 

@@ -17,7 +17,34 @@ MOST_KEPT_BYTES = 2**26
 Kept = tuple[FloatArray, ...]
 
 
-class DepthErrorBlock(Block):
+class KeepsFunctions:
+    """Functions of pixels and depths, computed once."""
+
+    def kept(self, make: Callable[[], Kept], camera: int, *at: FloatArray) -> Kept:
+        """What `make` computes from arrays `at` of a camera, computed once: pixels and reported depths of the corners and
+        cells do not change while the rest is solved."""
+        key = camera, *((x.shape, x.tobytes()) for x in at)
+        found = self._kept.get(key)
+        if found is None:
+            found = make()
+            size = sum(x.nbytes for x in (*found, *at))
+            if self._kept_bytes[0] + size <= MOST_KEPT_BYTES:
+                self._kept_bytes[0] += size
+                self._kept[key] = found
+                for x in found:
+                    x.flags.writeable = False
+        return found
+
+    @cached_property
+    def _kept(self) -> dict[tuple[object, ...], Kept]:
+        return {}
+
+    @cached_property
+    def _kept_bytes(self) -> list[int]:
+        return [0]
+
+
+class DepthErrorBlock(KeepsFunctions, Block):
     """Parameters (C, n) of a correction of the reported depth."""
 
     scope = Scope.CAMERA
@@ -42,29 +69,6 @@ class DepthErrorBlock(Block):
         out = self.by_parameters(look.camera, own, look.pixels_px, look.depth_m, look.left[..., 0])
         out /= -look.slope[..., None]
         return out[..., None, :]
-
-    def kept(self, make: Callable[[], Kept], camera: int, *at: FloatArray) -> Kept:
-        """What `make` computes from arrays `at` of a camera, computed once: pixels and reported depths of the corners and
-        cells do not change while the rest is solved."""
-        key = camera, *((x.shape, x.tobytes()) for x in at)
-        found = self._kept.get(key)
-        if found is None:
-            found = make()
-            size = sum(x.nbytes for x in (*found, *at))
-            if self._kept_bytes[0] + size <= MOST_KEPT_BYTES:
-                self._kept_bytes[0] += size
-                self._kept[key] = found
-                for x in found:
-                    x.flags.writeable = False
-        return found
-
-    @cached_property
-    def _kept(self) -> dict[tuple[object, ...], Kept]:
-        return {}
-
-    @cached_property
-    def _kept_bytes(self) -> list[int]:
-        return [0]
 
 
 class LinearDepthErrorBlock(DepthErrorBlock):

@@ -55,10 +55,7 @@ class IntrinsicsBlock(Block):
         return (*first, *names[: len(longest.distortion)])
 
     def start(self) -> FloatArray:
-        out = np.zeros((self.sets, self.n))
-        for row, prior in zip(out, self.setup.priors, strict=True):
-            row[: len(prior.intrinsics.vector)] = prior.intrinsics.vector
-        return out
+        return self.setup.intrinsics
 
     def prior(self) -> BlockPrior:
         own = self.setup
@@ -74,7 +71,15 @@ class IntrinsicsBlock(Block):
                 free[i, 8] &= own.params.free_k3 or prior.intrinsics.distortion[4] != 0
             assumed[i, :n] = prior.intrinsics_sd is None or prior.from_views
         information = np.diag(1 / np.maximum(sd.ravel(), _LEAST_SD) ** 2)
-        return BlockPrior(self.start().ravel(), information, free.ravel(), assumed.ravel())
+        return BlockPrior(self._mean().ravel(), information, free.ravel(), assumed.ravel())
+
+    def _mean(self) -> FloatArray:
+        """The start, but k3 of Brown's lenses that the recording itself determines: what few views made of it is no knowledge."""
+        mean = self.start()
+        for i, prior in enumerate(self.setup.priors):
+            if prior.from_views and len(prior.intrinsics.distortion) == 5:
+                mean[i, 8] = 0.0
+        return mean
 
     def changes(self, look: Look) -> bool:
         return look.by_lens is not None
@@ -98,6 +103,7 @@ def _standard_deviations(prior: CameraPrior, params: BundleParams) -> FloatArray
     lens = np.full(len(own.distortion), distortion)
     if own.model == "opencv":
         lens[2:4] /= 10  # tangential
+    if len(lens) == 5:  # of more coefficients none is small by itself
         lens[4:5] = np.minimum(lens[4:5], params.k3_px / (own.fx * _corner_radius(own) ** 7))
     return np.concatenate([sd, lens])
 

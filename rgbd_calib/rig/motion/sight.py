@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 
-from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.linear import BoolArray
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks import Kind
@@ -72,21 +71,18 @@ class DelayedLook(Look):
         return self.motion_seen + self.motion_later
 
 
-def look_at_delayed_depth(
-    sight: Sight, lens: Intrinsics, shift_px: FloatArray, corrected_m: FloatArray, slope: FloatArray
-) -> DelayedLook:
+def look_at_delayed_depth(sight: Sight, turn: FloatArray, corrected_m: FloatArray, slope: FloatArray) -> DelayedLook:
     """Rows of depth read at the corners' pixels, of the board where it is when depth is taken.
 
-    With n the normal and p a corner at the depth's instant, c = z (x, y, 1) the corner at that of colour, and d the shift of
-    registration, the ray of the pixel meets the board at z' = n.p / (n.(x, y, 1) - n_x d_u / fx - n_y d_v / fy), which is
+    With n the normal and p a corner at the depth's instant, c = z (x, y, 1) the corner at that of colour, and e the turn by
+    registration, the ray of the pixel meets the board at z' = n.p / (n.(x, y, 1) - n_x e_x - n_y e_y), which is
     that of :func:`rgbd_calib.rig.terms.look_at_depth` where p = c.
     """
     assert isinstance(sight, MovingSight) and isinstance(sight.mid, MovingSight)
     seen, p, n = sight.mid, sight.p_color, sight.normal_color[:, None]
-    f = np.array([lens.fx, lens.fy])
     z = seen.p_color[..., 2:]
     ray = seen.p_color / np.where(z > 0, z, 1.0)
-    along = np.sum(n[..., :2] * shift_px / f, axis=-1)
+    along = np.sum(n[..., :2] * turn, axis=-1)
     distance, down = np.sum(n * p, axis=-1), np.sum(n * ray, axis=-1) - along
     edge_on = np.abs(down) < LEAST_COS
     down = np.where(edge_on, 1.0, down)
@@ -95,7 +91,7 @@ def look_at_delayed_depth(
     by_later = np.where(edge_on[..., None], axis, n / down[..., None])
     by_ray = np.where(edge_on, 0.0, -distance / down**2)[..., None]
     by_seen = by_ray * (n - np.sum(n * ray, axis=-1, keepdims=True) * axis) / np.where(z > 0, z, 1.0)
-    ray_now = ray - np.concatenate([shift_px / f, np.zeros((*along.shape, 1))], axis=-1)
+    ray_now = ray - np.concatenate([turn, np.zeros((*along.shape, 1))], axis=-1)
     by_normal = np.where(edge_on[..., None], 0.0, p / down[..., None] + by_ray * ray_now)
     R, w = sight.R_color_parent, 1 / slope[..., None]
     return DelayedLook(
@@ -107,7 +103,7 @@ def look_at_delayed_depth(
         sight,
         ((by_later + by_seen) * w @ R)[:, :, None],
         by_normal=(by_normal * w @ R)[:, :, None],
-        by_shift=-by_ray * n[..., :2] / f * w,
+        by_shift=-by_ray * n[..., :2] * w,
         slope=slope,
         seen=seen,
         by_seen=(by_seen * w @ R)[:, :, None],

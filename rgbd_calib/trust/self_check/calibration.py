@@ -48,10 +48,12 @@ def of_calibration(
     frames_in_time: Sequence[str],
     stated_mm: float,
     params: SelfCheckParams,
+    of_images: Sequence[Finding] = (),
 ) -> dict[str, Any]:
     """What the checks say of a calibration, for its quality; `solution` is None where nothing was refined.
 
-    A bundle is checked with its rigid board, also where its structure was freed afterwards.
+    A bundle is checked with its rigid board, also where its structure was freed afterwards. `of_images` is what the images
+    showed beside the corners.
     """
     if isinstance(solution, Solution):
         try:
@@ -62,7 +64,7 @@ def of_calibration(
         sigmas_px = _sigmas_px(solution)
         factors = _factors(solution) if isinstance(solution, RefinementResult) else {}
         check = check_refined(residuals, sigmas_px, factors, views, association, board, frames_in_time, params)
-    return as_quality(check)
+    return as_quality(SelfCheck(_ordered([*check.findings, *of_images]), check.statistics))
 
 
 def _not_checked(error: Exception) -> Finding:
@@ -151,6 +153,7 @@ def check_bundle(
                 "frames": f"{f.first} to {f.last}",
                 "chi2": round(f.chi2, 2),
                 "dof": f.dof,
+                "others": round(f.others, 2),
                 "p": float(f"{f.p:.2g}"),
                 "moves_mm": round(f.moves_mm, 3),
             }
@@ -261,7 +264,7 @@ def _before(
         }
 
     return [
-        *check_votes([(p.cameras, p.frames, p.votes) for p in association.pairs], board.two_sided, params),
+        *check_votes([(p.cameras, p.frames, p.votes, p.cause) for p in association.pairs], board.two_sided, params),
         *check_dropped(found, by_camera(lost), frames_in_time, params),
         *check_dropped(found, by_camera(blind), frames_in_time, params, "The depth of "),
         *([] if carried else check_copies(views, sigma_px, params)),  # of a video, neighbours are alike

@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.trust.self_check.findings import Finding, Level, SelfCheckParams
 from rgbd_calib.types import BoardView, IntArray
+from rgbd_calib.views.association import Cause
 from rgbd_calib.views.depth_scale import clipped_share
 
 
@@ -67,18 +68,26 @@ def check_noise(noise: Mapping[str, Noise], params: SelfCheckParams, stated_mm: 
 
 
 def check_votes(
-    pairs: Sequence[tuple[tuple[str, str], int, int]], two_sided: bool, params: SelfCheckParams
+    pairs: Sequence[tuple[tuple[str, str], int, int, Cause | None]], two_sided: bool, params: SelfCheckParams
 ) -> list[Finding]:
-    """Pairs of cameras, their common frames, and how many of these agree on the relative pose."""
+    """Pairs of cameras, their common frames, how many of these agree on the relative pose, and why so few."""
     out = []
-    for pair, frames, votes in pairs:
-        if frames > 1 and votes < params.min_votes_share * frames:
-            text = f"{pair[0]} and {pair[1]}: only {votes} of {frames} common frames agree on the relative pose"
-            advice = (
-                "Frames of different instants under one name, mirrored images, another pattern in view, or images of another "
-                "session" + ("" if two_sided else "; or a board with two faces without `two_sided: true`")
-            )
+    poor = [own for own in pairs if own[1] > 1 and own[2] < params.min_votes_share * own[1]]
+    advice = (
+        "Frames of different instants under one name, mirrored images, another pattern in view, or images of another "
+        "session" + ("" if two_sided else "; or a board with two faces without `two_sided: true`")
+    )
+    for pair, frames, votes, cause in poor:
+        text = f"{pair[0]} and {pair[1]}: only {votes} of {frames} common frames agree on the relative pose"
+        if cause is None:
             out.append(Finding("frames agree", "distrust", pair, text, advice))
+    causes = {(cause.text, cause.advice): cause for *_, cause in poor if cause is not None}
+    for cause in causes.values():
+        of_cause = [own for own in poor if own[3] == cause]
+        named = ", ".join(f"{a} and {b}: {votes} of {frames}" for (a, b), frames, votes, _ in of_cause)
+        cameras = tuple(dict.fromkeys(c for pair, *_ in of_cause for c in pair))
+        text = f"Few common frames agree on the relative pose ({named}): {cause.text}"
+        out.append(Finding("frames agree", "distrust", cameras, text, cause.advice))
     return out
 
 

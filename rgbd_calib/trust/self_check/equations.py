@@ -136,6 +136,9 @@ class Equations:
     """Normal equations of the rows of some views alone."""
     part_in_metres: Callable[[IntArray], NormalEquations]
     """The same, rows in metres at the board instead of sigmas, and such that units can be eliminated."""
+    common: Callable[[IntArray], FloatArray]
+    """What errors that views of a camera share add to the reduced gradient of some views (K, P), K independent errors of
+    variance 1; see :mod:`rgbd_calib.rig.common_errors`."""
     taken: tuple[Projected, ...] = ()
     """Errors that are in the model now."""
 

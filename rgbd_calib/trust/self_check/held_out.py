@@ -8,7 +8,9 @@ equations S and g_F to their gradient, so that without them
 where S - S_F and g - g_F are those of the other frames (a carried board's motion ties frames to each other: what F adds is
 what the others lack). This is the deletion formula of linear regression for groups (Cook, Weisberg) and one Gauss-Newton step of a real refit.
 At x_(-F) the frames F have the gradient h = g_F + S_F (x_(-F) - x). If all frames are of one rig, its variance is
-B_F + S_F Cov_(-F) S_F, B_F the frames' own information with the excess, and h' Var(h)^+ h ~ chi2(rank).
+B_F + S_F Cov_(-F) S_F + D' D, and h' Var(h)^+ h ~ chi2(rank). B_F is the frames' own information with the excess, and the
+rows of D are what the errors add that views share: with C_F and C_(-F) their parts of the gradients (K, P), x_(-F) moves by
+-C_(-F) (S - S_F)^-1 and D = C_F - C_(-F) (S - S_F)^-1 S_F.
 
 References
 ----------
@@ -21,7 +23,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, f
 
 from rgbd_calib.geometry.linear import BoolArray, IntArray, NormalEquations, symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
@@ -30,6 +32,8 @@ from rgbd_calib.trust.self_check.findings import Finding, SelfCheckParams
 
 HELD_BY = 1e-4
 """Information of a unit without rows, 1/rad^2 and 1/m^2: above the rounding of rows that were subtracted, some 1e-7, and 100 m."""
+UNTOUCHED = 1e-9
+"""Of a parameter's information: where the frames taken away have less, what they say of it is rounding."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,9 @@ class Deletion:
     step: FloatArray
     """(P + E,), x_(-F) - x."""
     covariance: FloatArray
-    """(P + E, P + E), of x_(-F)."""
+    """(P + E, P + E), of x_(-F), by the errors that views do not share."""
+    common: FloatArray
+    """(K, P + E), what each of the K errors that views share moves x_(-F) by, in its standard deviations."""
     statistic: float
     dof: int
     p: float
@@ -53,7 +59,11 @@ class HeldOut:
     last: str
     chi2: float
     dof: int
+    others: float
+    """Mean of chi2 / dof of the other parts, at least 1: what every part of the recording leaves beyond the model is no
+    difference between the parts."""
     p: float
+    """Chance of such a ratio to the other parts (F distribution)."""
     moves_mm: float
     """RMS by which cameras put the board apart in them, beyond the noise."""
 
@@ -73,15 +83,25 @@ def delete(eq: Equations, gone: BoolArray) -> Deletion:
         return np.asarray(np.einsum("d,vdp,vdq->pq", eq.excess, low[views], low[views], optimize=True))
 
     covariance = left + left @ excess(~gone) @ left
+    common = -_common(eq, ~gone) @ left
     S_gone, g_gone = S_gone * np.outer(free, free), g_gone * free
     h = g_gone + S_gone @ step
-    variance = S_gone + excess(gone) + S_gone @ covariance @ S_gone
-    scale = 1 / np.sqrt(np.maximum(np.diag(variance), 1e-300))
+    shared = _common(eq, gone) * free + common @ S_gone
+    variance = S_gone + excess(gone) + S_gone @ covariance @ S_gone + shared.T @ shared
+    said = np.diag(S_gone) > UNTOUCHED * np.diag(S)
+    h, variance = h[said], variance[np.ix_(said, said)]
+    scale = 1 / np.sqrt(np.diag(variance))
     values, vectors = np.linalg.eigh(variance * np.outer(scale, scale))
-    kept = values > 1e-8 * values[-1]
+    kept = values > 1e-8 * values[-1] if len(values) else values > 0
     statistic = float(np.sum((vectors[:, kept].T @ (scale * h)) ** 2 / values[kept]))
     dof = int(kept.sum())
-    return Deletion(step, covariance, statistic, dof, float(chi2.sf(statistic, dof)))
+    return Deletion(step, covariance, common, statistic, dof, float(chi2.sf(statistic, dof)))
+
+
+def _common(eq: Equations, views: BoolArray) -> FloatArray:
+    """(K, P + E), of views (V,) bool; errors that were taken into the model are not followed."""
+    own = eq.common(np.flatnonzero(views))
+    return np.pad(own, [(0, 0), (0, sum(len(t.columns) for t in eq.taken))])
 
 
 def _low(eq: Equations, k: int) -> FloatArray:
@@ -145,16 +165,25 @@ def _reduced(eq: Equations, part: NormalEquations, views: BoolArray) -> tuple[Fl
 def hold_out(eq: Equations, params: SelfCheckParams) -> list[HeldOut]:
     """Parts in time held out in turn: the solution without them against what they say."""
     present = np.unique(eq.time_index[eq.shared & (eq.time_index != ALONE)])
-    whole = delete(eq, np.zeros(len(eq.camera), bool)).covariance
-    out = []
+    whole = delete(eq, np.zeros(len(eq.camera), bool))
+    parts = []
     for part in np.array_split(present, params.folds):
         if len(part) < params.min_side or len(present) - len(part) < params.min_side:
             continue
         gone = eq.shared & np.isin(eq.time_index, part)
         held = delete(eq, gone)
-        moved_m = _moved_by(eq, held.step, held.covariance - whole, gone)
-        first, last = eq.frames[part[0]], eq.frames[part[-1]]
-        out.append(HeldOut(first, last, held.statistic, held.dof, held.p, 1e3 * moved_m))
+        shared = held.common - whole.common
+        square, noise = _moved_by(eq, held.step, held.covariance - whole.covariance + shared.T @ shared, gone)
+        parts.append((eq.frames[part[0]], eq.frames[part[-1]], held, square, noise))
+    out = []
+    for first, last, held, square, noise in parts:
+        rest = [own for _, _, own, _, _ in parts if own is not held]
+        dof = sum(own.dof for own in rest)
+        others = max(1.0, sum(own.statistic for own in rest) / dof) if dof else 1.0
+        ratio = held.statistic / max(held.dof, 1) / others
+        chance = float(f.sf(ratio, held.dof, dof)) if others > 1 else held.p
+        moves_mm = 1e3 * float(np.sqrt(max(square - others * noise, 0.0)))
+        out.append(HeldOut(first, last, held.statistic, held.dof, others, chance, moves_mm))
     return out
 
 
@@ -179,13 +208,13 @@ def held_out_findings(
     ]
 
 
-def _moved_by(eq: Equations, step: FloatArray, covariance: FloatArray, gone: BoolArray) -> float:
-    """RMS of what a step of the globals moves the held-out corners by, beyond its own noise, metres.
+def _moved_by(eq: Equations, step: FloatArray, covariance: FloatArray, gone: BoolArray) -> tuple[float, float]:
+    """Mean square of what a step of the globals moves the held-out corners by, and of its own noise, square metres.
 
     Each frame's board follows as well as it can: what is left is how far cameras then put one board apart.
     """
     P = len(eq.free)
     views: IntArray = np.flatnonzero(gone)
     left = eq.part_in_metres(views).reduced * np.outer(eq.free, eq.free)
-    total = float(step[:P] @ left @ step[:P] - np.sum(left * covariance[:P, :P]))
-    return float(np.sqrt(max(total, 0.0) / max(int(eq.corners[gone].sum()), 1)))
+    corners = max(int(eq.corners[gone].sum()), 1)
+    return float(step[:P] @ left @ step[:P]) / corners, float(np.sum(left * covariance[:P, :P])) / corners

@@ -10,6 +10,7 @@ from rgbd_calib.geometry.linear import BoolArray, IntArray, NormalEquations, ass
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks import ESTIMATED, HELD, Block
 from rgbd_calib.rig.blocks.board_scale import BoardScale
+from rgbd_calib.rig.common_errors import common_gradients
 from rgbd_calib.rig.motion.problem import MotionProblem
 from rgbd_calib.rig.motion.scale import CarriedScale
 from rgbd_calib.rig.pose_rows import N_PARTS, part_of, through
@@ -65,6 +66,9 @@ def equations_of(solution: Solution, held: Sequence[Block], frames: Sequence[str
         in_metres = assemble(problem.pattern, (own for _, _, own in rows))
         return problem.eliminable(in_metres, state, float(np.trace(in_metres.U) / np.trace(base.U)))
 
+    def common(some: IntArray) -> FloatArray:
+        return common_gradients(solution.common, problem, state, base, views[some])
+
     eq = Equations(
         solution.cameras,
         obs.camera,
@@ -83,6 +87,7 @@ def equations_of(solution: Solution, held: Sequence[Block], frames: Sequence[str
         np.zeros(len(GROUPS)),
         part,
         part_in_metres,
+        common,
     )
     return eq.weighed()
 

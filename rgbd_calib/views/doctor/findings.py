@@ -10,6 +10,7 @@ Kind = Literal[
     "damaged", "missing", "unsynchronised", "blurred", "moved", "depth late", "not the board", "not found", "no depth",
     "covered", "overexposed", "underexposed", "not joined", "coverage", "not read", "not registered",
     "depth unit",
+    "colour planes",
 ]  # fmt: skip
 
 
