@@ -54,7 +54,7 @@ def study(seed: int, cameras: int, args: argparse.Namespace) -> dict[str, Any]:
     params = WaveParams(
         seconds=args.seconds,
         rate_hz=args.rate,
-        offset_s=45.0,
+        offset_s=args.offset,
         lost=0.1,
         drift_ppm=args.drift,
         readout_s=args.readout,
@@ -77,6 +77,10 @@ def study(seed: int, cameras: int, args: argparse.Namespace) -> dict[str, Any]:
             clock = found.cameras[name_].clock
             assert clock is not None
             out.setdefault("offset_ms", []).append(1e3 * (clock.offset_s - truth.offset_s))
+            middle_ms = 1e3 * (clock.offset_s - truth.offset_s) + 0.5e-3 * args.seconds * (
+                clock.drift_ppm - truth.drift_ppm
+            )
+            out.setdefault("middle_ms", []).append(middle_ms)
             out.setdefault("offset_sd_ms", []).append(1e3 * clock.offset_sd_s)
             out.setdefault("drift_ppm", []).append(clock.drift_ppm - truth.drift_ppm)
             out.setdefault("drift_sd_ppm", []).append(clock.drift_sd_ppm)
@@ -110,6 +114,7 @@ def told(own: dict[str, Any]) -> str:
     ):
         pairs = ", ".join(f"{e:+.3f} ± {s:.3f}" for e, s in zip(own[key], own[sd], strict=True) if s > 0)
         lines.append(f"  error of {key.split('_')[0]}, {unit}: {pairs}")
+    lines.append(f"  error of the clocks in the middle, ms: {', '.join(f'{e:+.3f}' for e in own['middle_ms'])}")
     lines.append(f"  error of readout, ms: {', '.join(f'{e:+.2f}' for e in own['readout_ms'])}")
     if "still_mm" in own:
         lines.append(
@@ -124,6 +129,7 @@ def main() -> None:
     parser.add_argument("--cameras", type=int, nargs="+", default=[2, 4])
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--rate", type=float, default=30.0)
+    parser.add_argument("--offset", type=float, default=45.0, help="clocks are drawn from +- this, s")
     parser.add_argument("--drift", type=float, default=20.0)
     parser.add_argument("--readout", type=float, default=0.0)
     parser.add_argument("--jitter", type=float, default=0.0)

@@ -36,7 +36,7 @@ def filmed(seed: int, kind: str = "hand", seconds: float = 12.0, **wave: float) 
     return session, tracks(session, rng)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 20))])
 def test_offsets_of_a_minute_and_a_half_with_dropped_frames(seed):
     session, seen = filmed(seed, offset_s=90.0, lost=0.1)
     offsets = first_offsets(seen, "C1", MOVES)

@@ -98,9 +98,9 @@ def dense_problem(seed: int, excess: float = 0.0) -> tuple[Equations, np.ndarray
     Qt = Q.transpose(0, 2, 1)
     gram = np.einsum("vng,vnh->vgh", extra, extra)
     rows = ViewRows(
-        frame, np.stack([OF_CAMERA[c] for c in camera]), gram, np.einsum("vng,vnh->vgh", extra, by_globals),
-        np.einsum("vng,vnh->vgh", extra, by_unit), np.einsum("vng,vn->vg", extra, left),
-        Qt @ extra, low_globals, Qt @ by_unit, np.zeros((VIEWS, 2)), gram,
+        frame[:, None], np.stack([OF_CAMERA[c] for c in camera]), gram, np.einsum("vng,vnh->vgh", extra, by_globals),
+        np.einsum("vng,vnh->vgh", extra, by_unit)[:, None], np.einsum("vng,vn->vg", extra, left),
+        Qt @ extra, low_globals, Qt @ by_unit, np.zeros((VIEWS, 2)), gram, np.zeros(2, int),
     )  # fmt: skip
     free = np.ones(P, bool)
     eq = Equations(
@@ -250,7 +250,7 @@ def test_frames_held_out_by_formula_and_by_a_real_refit():
     nothing = np.zeros(len(eq.camera), bool)
     assert np.abs(delete(as_solved, nothing).covariance - alone).max() < 1e-3 * np.abs(alone).max()
     gone_frames = np.isin(result.course.frames, frames[:4])
-    gone = gone_frames[eq.rows.units]
+    gone = gone_frames[eq.rows.units[:, 0]]
     held = delete(eq, gone)
     rows = ~gone_frames[problem.obs.frame][:, None]
     kept = problem.using(problem.obs.keep(problem.obs.has_pixel & rows, problem.obs.has_depth & rows))

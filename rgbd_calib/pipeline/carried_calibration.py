@@ -47,13 +47,18 @@ class CarriedSolution:
         """T_world_board (4, 4) of a view each half second, by `camera frame`."""
         every, last = self.solution.board_poses(), -EVERY_S
         out: dict[str, FloatArray] = {}
-        order = sorted(self.start.views, key=lambda v: v.color_s + self.clocks[v.placed.view.camera].offset_s)
-        for view in order:
-            t = view.color_s + self.clocks[view.placed.view.camera].offset_s
-            name = frame_name(view.placed)
+        for t, name in self._in_time():
             if t - last >= EVERY_S or not out:
                 out[name], last = every[name], t
         return out
+
+    def frames_in_time(self) -> tuple[str, ...]:
+        """Names of the carried views' frames, by their estimated instants."""
+        return tuple(name for _, name in self._in_time())
+
+    def _in_time(self) -> list[tuple[float, str]]:
+        offset_s = {camera: clock.offset_s for camera, clock in self.clocks.items()}
+        return sorted((v.color_s + offset_s[v.placed.view.camera], frame_name(v.placed)) for v in self.start.views)
 
 
 def solve_carried(

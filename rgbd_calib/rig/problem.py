@@ -319,25 +319,22 @@ class Problem:
         scales = self.weights.scales(self.obs) if scales is None else scales
         for some, look in self.looks(state, views):
             w = scales[OF_BOARDS.index(look.kind)][some]
-            by_unit = state.boards.derivative(look)
-            yield some, look, self._rows(look, self.units_of(state, look), by_unit, w)
+            yield some, look, self._rows(look, self.units_of(state, look), state.boards.derivative(look), w)
 
     def wall_rows(self, state: State, cameras: Sequence[int]) -> Iterator[tuple[IntArray, Look, Rows]]:
         """Weighted rows of the walls of some cameras."""
         scales, F = self.weights.wall_scales(self.setup.walls), self.n_board_units
         for some, look, by_wall in self.looks_at_walls(state, cameras):
-            by_unit = np.zeros((*look.left.shape, self.unit_size))
-            by_unit[..., :3] = by_wall
+            by_unit = np.pad(by_wall, [(0, 0)] * 3 + [(0, self.unit_size - by_wall.shape[-1])])
             yield some, look, self._rows(look, F + some, by_unit, scales[some])
 
     def _rows(self, look: Look, units: IntArray, by_unit: FloatArray, w: FloatArray) -> Rows:
         dense = [b for b in self.blocks if b.changes(look) and not isinstance(b, PointBlock)]
         points = [b for b in self.blocks if b.changes(look) and isinstance(b, PointBlock)]
-        n, N, r = look.left.shape
-        w = w[..., None]
+        w, shape = w[..., None], look.left.shape
         J = np.concatenate([b.derivative(look) for b in dense], axis=-1)
         J *= w[..., None]
-        J_point = np.concatenate([np.zeros((n, N, r, 0)), *(b.derivative(look) for b in points)], axis=-1)
+        J_point = np.concatenate([np.zeros((*shape, 0)), *(b.derivative(look) for b in points)], axis=-1)
         at = [self.parts[b.name].start + b.point_columns(look) for b in points]
         return Rows(
             units,
@@ -345,7 +342,7 @@ class Problem:
             J,
             by_unit * w[..., None],
             look.left * w,
-            np.concatenate([np.zeros((n, N, 0), int), *at], axis=-1),
+            np.concatenate([np.zeros((*shape[:2], 0), int), *at], axis=-1),
             J_point * w[..., None],
         )
 
@@ -376,16 +373,20 @@ class Problem:
 
     def equations(self, state: State, views: IntArray | None = None) -> NormalEquations:
         """The normal equations, priors included; of some views, or of all."""
-        gradient = self.prior.information @ (self.vector(state) - self.prior.mean)
-        units = self.unit_information * self.unit_vector(state)
-        data = self.data_equations(state, views).plus_units(self.unit_information, units)
-        return data.regular().plus(self.prior.information, gradient)
+        known, prior = self.unit_information, self.prior
+        data = self.data_equations(state, views).plus_units(known, known * self.unit_vector(state))
+        return self.eliminable(data, state).plus(
+            prior.information, prior.information @ (self.vector(state) - prior.mean)
+        )
+
+    def eliminable(self, data: NormalEquations, state: State, weight: float = 1.0) -> NormalEquations:
+        """Such that units can be eliminated; `weight` is of what else is known of them."""
+        return data.regular()
 
     def cost(self, state: State) -> float:
         """Half the weighted sum of squares."""
         d = self.vector(state) - self.prior.mean
-        pixel, depth = self.residuals(state)
-        w_pixel, w_depth = self.weights.scales(self.obs)
+        (pixel, depth), (w_pixel, w_depth) = self.residuals(state), self.weights.scales(self.obs)
         squares = np.sum((pixel * w_pixel[..., None]) ** 2) + np.sum((depth * w_depth) ** 2)
         squares += np.sum((self.wall_residuals(state) * self.weights.wall_scales(self.setup.walls)) ** 2)
         squares += np.sum(self.unit_information * self.unit_vector(state) ** 2)

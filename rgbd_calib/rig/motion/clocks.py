@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.rig.blocks.block import Block, BlockPrior, Kind, Scope
+from rgbd_calib.rig.blocks.block import Block, BlockPrior, Fault, Kind, Scope
 from rgbd_calib.rig.motion.setup import MotionSetup
 from rgbd_calib.rig.motion.sight import DelayedLook, MovingSight, by_time
 from rgbd_calib.rig.sight import Look
@@ -41,6 +41,16 @@ class ClockBlock(OfTime):
 
     name = "clock"
     kinds = frozenset({Kind.PIXEL, Kind.DEPTH})
+    over_time = Fault(
+        "clock over time",
+        lambda t: (
+            f"{t.camera}'s timestamps jumped by {-1e3 * t.estimate[0]:+.1f} ms against the other cameras' at frame {t.frame}: the "
+            f"boards are {t.mm} off"
+        ),
+        "The clock was set, frames were dropped without notice, or the timestamps are the host's. Record device timestamps, or cut "
+        "the recording there",
+        parameters=1,
+    )
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -64,6 +74,15 @@ class DepthDelay(OfTime):
 
     name = "depth delay"
     kinds = frozenset({Kind.DEPTH})
+    over_time = Fault(
+        "depth delay over time",
+        lambda t: (
+            f"{t.camera}'s depth images are {1e3 * t.estimate[0]:+.1f} ms later against its colour images from frame {t.frame} on "
+            "than before"
+        ),
+        "Colour and depth frames were paired differently: record both with their own timestamps",
+        parameters=1,
+    )
 
     @property
     def parameters(self) -> tuple[str, ...]:

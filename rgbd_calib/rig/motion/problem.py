@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.geometry.banded import BAND, BandedEquations
+from rgbd_calib.geometry.banded import BandedEquations
 from rgbd_calib.geometry.linear import Covariance, IntArray, NormalEquations, Pattern
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks import Kind, Scope, WallPlanes
@@ -177,14 +177,14 @@ class MotionProblem(Problem):
         columns |= {key: np.sort(of_camera[key[1]]) for key in set(keys) if -1 in key}
         return Pattern.of(keys, columns, self.n_globals, self.unit_size)
 
-    def equations(self, state: State, views: IntArray | None = None) -> NormalEquations:
-        own = super().equations(state, views)
+    def eliminable(self, data: NormalEquations, state: State, weight: float = 1.0) -> NormalEquations:
+        """With the motion's prior, which holds windows that no view touches."""
+        own, n = data.regular(), self.own.n_windows
         r, J = _carried(state).spline.jerks()
-        w = 1 / self.jerk_scale()
-        J, r, n = J * w[:, None], r * w, self.own.n_windows
+        w = np.sqrt(weight) / self.jerk_scale()
+        J, r = J * w[:, None], r * w
         V, h = own.V.copy(), own.unit_gradient.copy()
-        V[:n][np.all(V[:n] == np.eye(BAND), axis=(1, 2))] = 0.0  # no view there: the prior holds it
-        V[:n] += J.transpose(0, 2, 1) @ J
+        V[:n] = data.V[:n] + J.transpose(0, 2, 1) @ J
         h[:n] += np.einsum("wij,wi->wj", J, r)
         return BandedEquations(own.pattern, own.U, own.W, V, own.gradient, h, own.curvature, n)
 

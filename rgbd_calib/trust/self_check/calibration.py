@@ -9,6 +9,7 @@ import numpy as np
 
 from rgbd_calib.io.residuals import Residuals
 from rgbd_calib.rig.biobjective import RefinementResult
+from rgbd_calib.rig.motion.problem import MotionProblem
 from rgbd_calib.rig.solution import Solution
 from rgbd_calib.trust.self_check import (
     Equations,
@@ -100,13 +101,16 @@ def check_bundle(
     tests = outcomes_of(eq, solved.problem, held, params)
     errors, explained = findings_of(eq, tests, params, stated_mm)
     noise = noise_of_bundle(solved, eq)
-    motion = check_motion(eq, explained, {name: own.apart_px_mm for name, own in noise.items()}, errors, params)
+    carried = isinstance(solved.problem, MotionProblem)
+    apart_mm = {name: own.apart_px_mm for name, own in noise.items()}
+    motion = [] if carried else check_motion(eq, explained, apart_mm, errors, params)
     by_cameras = any(own.cameras for own in errors)  # then boards are wrong, and would be blamed on the walls
     wrong_walls = [] if by_cameras else check_walls(walls_of_bundle(solved), params)
     if motion:
         errors = [*motion, *(own for own in errors if not own.cameras)]
     folds = hold_out(eq, params)
-    of_folds = held_out_findings(hold_out(explained, params), params, len(tests), stated_mm)
+    of_explained = folds if explained is eq else hold_out(explained, params)
+    of_folds = held_out_findings(of_explained, params, len(tests), stated_mm)
     dropped, used = solved.course.dropped, np.any(solved.problem.obs.has_pixel, axis=1).tolist()
     with_pixels = {(p.view.camera, p.view.frame) for p, v in zip(solved.course.views, used, strict=True) if v}
     blind = [key for key in dropped if key in with_pixels]
@@ -122,6 +126,7 @@ def check_bundle(
             board,
             frames_in_time,
             params,
+            carried,
         ),
         *errors,
         *of_folds,
@@ -247,6 +252,7 @@ def _before(
     board: Board,
     frames_in_time: Sequence[str],
     params: SelfCheckParams,
+    carried: bool = False,
 ) -> list[Finding]:
     found: dict[str, int] = {}
     for view in views:
@@ -261,7 +267,7 @@ def _before(
         *check_votes([(p.cameras, p.frames, p.votes, p.cause) for p in association.pairs], board.two_sided, params),
         *check_dropped(found, by_camera(lost), frames_in_time, params),
         *check_dropped(found, by_camera(blind), frames_in_time, params, "The depth of "),
-        *check_copies(views, sigma_px, params),
+        *([] if carried else check_copies(views, sigma_px, params)),  # of a video, neighbours are alike
         *check_clipped(views, params),
     ]
 

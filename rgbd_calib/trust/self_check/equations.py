@@ -42,10 +42,13 @@ CLEAR_SIGMAS = 3.0
 
 @dataclass(frozen=True)
 class ViewRows:
-    """Products of each view's rows; V views, H columns of possible errors, L of the globals, D of a unit, parts of the pose."""
+    """Products of each view's rows; V views, H columns of possible errors, L of the globals, D of a unit, parts of the pose.
+
+    Rows of K kinds touch a unit each: pixels and depth of one view are of two windows of a carried board's spline.
+    """
 
     units: IntArray
-    """(V,)."""
+    """(V, K)."""
     index: IntArray
     """(V, L), the global of each local column."""
     gram: FloatArray
@@ -53,7 +56,7 @@ class ViewRows:
     by_globals: FloatArray
     """(V, H, L)."""
     by_unit: FloatArray
-    """(V, H, D)."""
+    """(V, K, H, D)."""
     score: FloatArray
     """(V, H), with the residuals, predicted less measured."""
     low: FloatArray
@@ -66,6 +69,13 @@ class ViewRows:
     """(V, parts)."""
     size: FloatArray
     """(V, H, H), products in metres at the board, for the size of an effect."""
+    kind: IntArray
+    """(parts,), which of the kinds each pose part is of."""
+
+    @property
+    def unit_of_part(self) -> IntArray:
+        """(V, parts)."""
+        return self.units[:, self.kind]
 
 
 @dataclass(frozen=True)
@@ -125,7 +135,7 @@ class Equations:
     part: Callable[[IntArray], NormalEquations]
     """Normal equations of the rows of some views alone."""
     part_in_metres: Callable[[IntArray], NormalEquations]
-    """The same, rows in metres at the board instead of sigmas."""
+    """The same, rows in metres at the board instead of sigmas, and such that units can be eliminated."""
     common: Callable[[IntArray], FloatArray]
     """What errors that views of a camera share add to the reduced gradient of some views (K, P), K independent errors of
     variance 1; see :mod:`rgbd_calib.rig.common_errors`."""
@@ -140,13 +150,15 @@ class Equations:
     def reduced_low(self) -> FloatArray:
         """(V, parts, P), the model's columns in the pose parts, the units eliminated."""
         own, base = self.rows, self.base
-        solved = own.low_unit @ base.V_inv[own.units]
         out = own.low_globals * self.free
-        group = base.pattern.group[own.units]
-        for g in np.unique(group):
-            mine = np.flatnonzero(group == g)
-            W = base.W[g][base.pattern.place[own.units[mine]]]
-            out[np.ix_(mine, np.arange(out.shape[1]), base.pattern.columns[g])] -= solved[mine] @ W.transpose(0, 2, 1)
+        for of_kind, units in enumerate(own.units.T):
+            parts = np.flatnonzero(own.kind == of_kind)
+            group = base.pattern.group[units]
+            for g in np.unique(group):
+                mine = np.flatnonzero(group == g)
+                WV = base.WV[g][base.pattern.place[units[mine]]]
+                through = own.low_unit[np.ix_(mine, parts)] @ WV.transpose(0, 2, 1)
+                out[np.ix_(mine, parts, base.pattern.columns[g])] -= through
         return np.asarray(out * self.free)
 
     @cached_property
@@ -155,11 +167,11 @@ class Equations:
         x = -self.plain.of_globals @ self.base.reduced_gradient
         return x, self.base.units_after(x)
 
-    @property
-    def dof(self) -> int:
-        """Degrees of freedom of one variance of the pose parts: views that others check, less the cameras' poses."""
-        frames, views = len(np.unique(self.rows.units[self.shared])), int(self.shared.sum())
-        return max(views - frames - len(self.cameras) + 1, 1)
+    @cached_property
+    def dof(self) -> FloatArray:
+        """(K,), degrees of freedom of the variance of one pose part of a kind: views, less what boards and cameras absorb."""
+        left, kind = pose_residuals(self)[1], self.rows.kind
+        return np.array([max(float(left[:, kind == k].sum(axis=0).mean()), 1.0) for k in np.unique(kind)])
 
     def project(self, columns: IntArray, where: BoolArray) -> Projected:
         """The errors `columns` (q,) of the views `where` (V,), before what was taken into the model."""
@@ -170,25 +182,25 @@ class Equations:
         by_globals = own.by_globals[views][:, columns].transpose(0, 2, 1)  # (v, L, q)
         np.add.at(cross, own.index[views], by_globals)
         units = np.zeros((base.pattern.n_units, base.pattern.size, q))
-        np.add.at(units, own.units[views], own.by_unit[views][:, columns].transpose(0, 2, 1))
+        np.add.at(units, own.units[views], own.by_unit[views][:, :, columns].transpose(0, 1, 3, 2))
         for WV, members, at in zip(base.WV, base.pattern.units, base.pattern.columns, strict=True):
             cross[at] -= np.einsum("npd,ndq->pq", WV, units[members], optimize=True)
         cross *= self.free[:, None]
         X = self.plain.of_globals @ cross
         Y = self._unit_part(X, units)
-        solved = base.V_inv @ units
+        solved = base.unit_solved(units)
         information = gram - np.einsum("fdp,fdq->pq", units, solved, optimize=True) - cross.T @ X
         x, b = self.step
         score = own.score[views][:, columns].sum(axis=0) + np.einsum("vlq,vl->q", by_globals, x[own.index[views]])
-        score += np.einsum("vqd,vd->q", own.by_unit[views][:, columns], b[own.units[views]])
+        score += np.einsum("vkqd,vkd->q", own.by_unit[views][:, :, columns], b[own.units[views]])
         low = np.zeros((len(where), own.low.shape[1], q))
         low[views] = own.low[views][:, :, columns]
-        low -= own.low_globals @ X + own.low_unit @ Y[own.units]
+        low -= own.low_globals @ X + np.einsum("vpd,vpdq->vpq", own.low_unit, Y[own.unit_of_part])
         return Projected(columns, where, cross, units, gram, score, information, low)
 
     def _unit_part(self, X: FloatArray, units: FloatArray) -> FloatArray:
         """(F, D, q), the units' share of C J'A, given the globals' X (P, q)."""
-        out = self.base.V_inv @ units
+        out = self.base.unit_solved(units)
         for WV, members, at in zip(self.base.WV, self.base.pattern.units, self.base.pattern.columns, strict=True):
             out[members] -= WV.transpose(0, 2, 1) @ X[at]
         return out
@@ -197,7 +209,7 @@ class Equations:
         """A' M B (p, q), before what was taken into the model."""
         both = np.flatnonzero(a.where & b.where)
         gram = self.rows.gram[both][:, a.columns[:, None], b.columns].sum(axis=0)
-        through_units = np.einsum("fdp,fdq->pq", a.units, self.base.V_inv @ b.units, optimize=True)
+        through_units = np.einsum("fdp,fdq->pq", a.units, self.base.unit_solved(b.units), optimize=True)
         return np.asarray(gram - through_units - a.reduced.T @ self.plain.of_globals @ b.reduced)
 
     def of_taken(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -263,9 +275,12 @@ def pose_residuals(eq: Equations) -> tuple[FloatArray, FloatArray]:
     """Squares of the views' pose parts (V, parts), and what they would be, m, had views no errors of their own."""
     own, reduced = eq.rows, eq.reduced_low
     absorbed = np.sum((reduced @ eq.plain.of_globals) * reduced, axis=2)
-    absorbed += np.einsum("vdi,vij,vdj->vd", own.low_unit, eq.base.V_inv[own.units], own.low_unit, optimize=True)
+    for k, units in enumerate(own.units.T):
+        parts = own.kind == k
+        low_unit = own.low_unit[:, parts]
+        absorbed[:, parts] += np.sum(low_unit @ eq.base.V_inv[units] * low_unit, axis=2)
     x, b = eq.step
-    now = own.low_residual + own.low_globals @ x + np.einsum("vdi,vi->vd", own.low_unit, b[own.units])
+    now = own.low_residual + own.low_globals @ x + np.einsum("vdi,vdi->vd", own.low_unit, b[own.unit_of_part])
     if eq.taken:
         inverse, score, low = eq.of_taken()
         absorbed += np.einsum("vdp,pq,vdq->vd", low, inverse, low, optimize=True)

@@ -1,11 +1,12 @@
 """Frames taken away from a solution, without solving again, and what they say of the solution without them.
 
-Taking frames away works on the same equations. With the boards eliminated, each frame f adds S_f to the reduced normal
-equations S and g_f to their gradient, so that without the frames F
+Taking frames away works on the same equations. With the boards eliminated, the frames F add S_F to the reduced normal
+equations S and g_F to their gradient, so that without them
 
     x_(-F) = x - (S - S_F)^-1 (g - g_F)
 
-which is the deletion formula of linear regression for groups (Cook, Weisberg) and one Gauss-Newton step of a real refit.
+where S - S_F and g - g_F are those of the other frames (a carried board's motion ties frames to each other: what F adds is
+what the others lack). This is the deletion formula of linear regression for groups (Cook, Weisberg) and one Gauss-Newton step of a real refit.
 At x_(-F) the frames F have the gradient h = g_F + S_F (x_(-F) - x). If all frames are of one rig, its variance is
 B_F + S_F Cov_(-F) S_F + D' D, and h' Var(h)^+ h ~ chi2(rank). B_F is the frames' own information with the excess, and the
 rows of D are what the errors add that views share: with C_F and C_(-F) their parts of the gradients (K, P), x_(-F) moves by
@@ -19,16 +20,18 @@ R. D. Cook, S. Weisberg, Residuals and Influence in Regression, Chapman and Hall
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2, f
 
-from rgbd_calib.geometry.linear import BoolArray, IntArray, symmetric_inverse
+from rgbd_calib.geometry.linear import BoolArray, IntArray, NormalEquations, symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.trust.self_check.equations import ALONE, Equations
 from rgbd_calib.trust.self_check.findings import Finding, SelfCheckParams
 
+HELD_BY = 1e-4
+"""Information of a unit without rows, 1/rad^2 and 1/m^2: above the rounding of rows that were subtracted, some 1e-7, and 100 m."""
 UNTOUCHED = 1e-9
 """Of a parameter's information: where the frames taken away have less, what they say of it is rounding."""
 
@@ -68,11 +71,12 @@ class HeldOut:
 def delete(eq: Equations, gone: BoolArray) -> Deletion:
     """Take the views `gone` (V,) away, all of their frames."""
     free = np.concatenate([eq.free, np.ones(sum(len(t.columns) for t in eq.taken), bool)])
-    S, g = _reduced(eq, np.ones(len(gone), bool))
-    S_gone, g_gone = _reduced(eq, gone)
+    S, g = _reduced(eq, eq.base, np.ones(len(gone), bool))
+    S_left, g_left = _reduced(eq, _without(eq, gone), ~gone)
+    S_gone, g_gone = S - S_left, g - g_left
     held = np.diag(1.0 - free)
-    left = symmetric_inverse((S - S_gone) * np.outer(free, free) + held) * np.outer(free, free)
-    step = -left @ ((g - g_gone) * free)
+    left = symmetric_inverse(S_left * np.outer(free, free) + held) * np.outer(free, free)
+    step = -left @ (g_left * free)
     low = np.concatenate([eq.reduced_low, *(_low(eq, k) for k in range(len(eq.taken)))], axis=2) * free
 
     def excess(views: BoolArray) -> FloatArray:
@@ -103,14 +107,31 @@ def _common(eq: Equations, views: BoolArray) -> FloatArray:
 def _low(eq: Equations, k: int) -> FloatArray:
     """(V, parts, q) of an error that was taken, the units eliminated."""
     taken, own = eq.taken[k], eq.rows
-    on_unit = eq.base.V_inv[own.units] @ taken.units[own.units]
-    return np.where(taken.where[:, None, None], own.low[:, :, taken.columns], 0.0) - own.low_unit @ on_unit
+    on_unit = eq.base.unit_solved(taken.units)[own.unit_of_part]
+    through = np.einsum("vpd,vpdq->vpq", own.low_unit, on_unit)
+    return np.where(taken.where[:, None, None], own.low[:, :, taken.columns], 0.0) - through
 
 
-def _reduced(eq: Equations, views: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Reduced equations and gradient of views (V,) bool, whole frames, with the errors that were taken; priors with all."""
-    whole, own = bool(views.all()), eq.rows
-    part = eq.base if whole else eq.part(np.flatnonzero(views)).regular()
+def _without(eq: Equations, gone: BoolArray) -> NormalEquations:
+    """The equations without the rows of the views `gone`; units that lose all of them are held by a little."""
+    units, base = eq.rows.units, eq.base
+    part = eq.part(np.flatnonzero(gone))
+    emptied = np.setdiff1d(units[gone], units[~gone])
+    V = base.V - part.V
+    V[emptied] += HELD_BY * np.eye(base.pattern.size)
+    return replace(
+        base,
+        U=base.U - part.U,
+        W=tuple(W - own for W, own in zip(base.W, part.W, strict=True)),
+        V=V,
+        gradient=base.gradient - part.gradient,
+        unit_gradient=base.unit_gradient - part.unit_gradient,
+    )
+
+
+def _reduced(eq: Equations, part: NormalEquations, views: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Reduced `part`, the equations of views (V,) bool, and its gradient, with the errors that were taken."""
+    own = eq.rows
     S, g = part.reduced, part.reduced_gradient
     if not eq.taken:
         return S, g
@@ -120,7 +141,7 @@ def _reduced(eq: Equations, views: BoolArray) -> tuple[FloatArray, FloatArray]:
         cross = np.zeros((len(g), len(taken.columns)))
         np.add.at(cross, own.index[mine], own.by_globals[mine][:, taken.columns].transpose(0, 2, 1))
         of_units = np.zeros_like(taken.units)
-        np.add.at(of_units, own.units[mine], own.by_unit[mine][:, taken.columns].transpose(0, 2, 1))
+        np.add.at(of_units, own.units[mine], own.by_unit[mine][:, :, taken.columns].transpose(0, 1, 3, 2))
         crosses.append(cross)
         units.append(of_units)
         gradients.append(own.score[mine][:, taken.columns].sum(axis=0))
@@ -135,7 +156,7 @@ def _reduced(eq: Equations, views: BoolArray) -> tuple[FloatArray, FloatArray]:
         [own.gram[a.where & b.where & views][:, a.columns[:, None], b.columns].sum(axis=0) for b in eq.taken]
         for a in eq.taken
     ]
-    solved = part.V_inv @ of_units
+    solved = part.unit_solved(of_units)
     corner = np.block(grams) - np.einsum("fdp,fdq->pq", of_units, solved, optimize=True)
     gradient = gradient - np.einsum("fdq,fd->q", solved, part.unit_gradient)
     return np.block([[S, cross], [cross.T, corner]]), np.concatenate([g, gradient])
@@ -143,15 +164,13 @@ def _reduced(eq: Equations, views: BoolArray) -> tuple[FloatArray, FloatArray]:
 
 def hold_out(eq: Equations, params: SelfCheckParams) -> list[HeldOut]:
     """Parts in time held out in turn: the solution without them against what they say."""
-    frame_time = np.full(eq.base.pattern.n_units, ALONE)
-    frame_time[eq.rows.units] = np.where(eq.shared, eq.time_index, ALONE)
-    present = np.unique(frame_time[frame_time != ALONE])
+    present = np.unique(eq.time_index[eq.shared & (eq.time_index != ALONE)])
     whole = delete(eq, np.zeros(len(eq.camera), bool))
     parts = []
     for part in np.array_split(present, params.folds):
         if len(part) < params.min_side or len(present) - len(part) < params.min_side:
             continue
-        gone = np.isin(frame_time[eq.rows.units], part)
+        gone = eq.shared & np.isin(eq.time_index, part)
         held = delete(eq, gone)
         shared = held.common - whole.common
         square, noise = _moved_by(eq, held.step, held.covariance - whole.covariance + shared.T @ shared, gone)
@@ -196,6 +215,6 @@ def _moved_by(eq: Equations, step: FloatArray, covariance: FloatArray, gone: Boo
     """
     P = len(eq.free)
     views: IntArray = np.flatnonzero(gone)
-    left = eq.part_in_metres(views).regular().reduced * np.outer(eq.free, eq.free)
+    left = eq.part_in_metres(views).reduced * np.outer(eq.free, eq.free)
     corners = max(int(eq.corners[gone].sum()), 1)
     return float(step[:P] @ left @ step[:P]) / corners, float(np.sum(left * covariance[:P, :P])) / corners

@@ -85,7 +85,10 @@ def _over_time(eq: Equations, block: Block, c: int, params: SelfCheckParams) -> 
         late = where & (eq.time_index >= split)
         sides = len(np.unique(eq.time_index[late])), len(np.unique(eq.time_index[where & ~late]))
         if min(sides) >= params.min_side and _seen(eq, block, late):
-            yield Hypothesis(fault, (eq.cameras[c],), _columns(eq, block, fault), late, eq.frames[split])
+            frame = eq.frames[eq.time_index[late].min()].removeprefix(
+                f"{eq.cameras[c]} "
+            )  # carried frames have the camera's name
+            yield Hypothesis(fault, (eq.cameras[c],), _columns(eq, block, fault), late, frame)
 
 
 def _between_recordings(eq: Equations, block: Block, c: int, params: SelfCheckParams) -> Iterator[Hypothesis]:

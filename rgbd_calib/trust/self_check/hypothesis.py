@@ -64,12 +64,14 @@ class Hypothesis:
         variances of pose parts rest on few views, those of single corners on many: the degrees of freedom are those of
         the mixture (F. Satterthwaite, Biometrics Bulletin 2(6), 1946).
         """
-        score = self.test(replace(eq, excess=self.accepted(eq).excess))
+        excess, kind = self.accepted(eq).excess, eq.rows.kind
+        score = self.test(replace(eq, excess=excess))
         if not score.dof:
             return score
-        without = self.test(replace(eq, excess=np.zeros_like(eq.excess)))
-        share = 1 - float(np.trace(without.covariance) / np.trace(score.covariance))
-        dof = eq.dof / max(share, 1e-3) ** 2
+        total = float(np.trace(score.covariance))
+        without = [self.test(replace(eq, excess=np.where(kind == k, 0.0, excess))) for k in range(len(eq.dof))]
+        shares = np.array([1 - float(np.trace(own.covariance)) / total for own in without])
+        dof = 1 / max(float(np.sum(shares**2 / eq.dof)), 1e-6)
         return replace(score, p=float(f.sf(score.statistic / score.dof, score.dof, dof)))
 
     def _known(self, eq: Equations) -> tuple[IntArray, IntArray]:
@@ -113,8 +115,9 @@ def _of(eq: Equations, own: IntArray) -> tuple[FloatArray, FloatArray, FloatArra
     rows, C = eq.rows, eq.plain.of_globals[own]
     step, plain = eq.step[0][own], C[:, own]
     low = rows.low_globals @ C.T  # Q' J C, (V, parts, k)
-    cross = eq.plain.cross(rows.units)[:, own]
-    low = low + np.einsum("vdi,vki->vdk", rows.low_unit, cross)
+    for k, units in enumerate(rows.units.T):
+        parts, cross = rows.kind == k, eq.plain.cross(units)[:, own]
+        low[:, parts] += rows.low_unit[:, parts] @ cross.transpose(0, 2, 1)
     if eq.taken:
         inverse, score, of_taken = eq.of_taken()
         reduced = np.concatenate([t.reduced for t in eq.taken], axis=1)

@@ -9,22 +9,27 @@ import numpy as np
 from rgbd_calib.geometry.linear import BoolArray, IntArray, NormalEquations, assemble
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks import ESTIMATED, HELD, Block
+from rgbd_calib.rig.blocks.board_scale import BoardScale
 from rgbd_calib.rig.common_errors import common_gradients
+from rgbd_calib.rig.motion.problem import MotionProblem
+from rgbd_calib.rig.motion.scale import CarriedScale
 from rgbd_calib.rig.pose_rows import N_PARTS, part_of, through
 from rgbd_calib.rig.problem import OF_BOARDS, Problem, State
 from rgbd_calib.rig.solution import Solution
-from rgbd_calib.rig.weights import DEPTH_PARTS, PIXEL_PARTS
+from rgbd_calib.rig.weights import DEPTH_PARTS, N_DEPTH, N_PIXEL, PIXEL_PARTS
 from rgbd_calib.trust.self_check.equations import ALONE, Equations, ViewRows
 
 MAX_VIEWS = 800
 """Of more views, every second, third, ... frame is checked: the equations of 800 take some 100 MB."""
 GROUPS = np.concatenate([PIXEL_PARTS, PIXEL_PARTS.max() + 1 + DEPTH_PARTS])
 """What is alike in the pose part of a view, in the pixels and in the depth."""
+HELD_OF_CARRIED = tuple(CarriedScale if block is BoardScale else block for block in HELD)
 
 
 def held_blocks(problem: Problem) -> tuple[Block, ...]:
     """What the problem holds at zero: always, or because it was asked to."""
-    held = [block for block in (*HELD, *ESTIMATED) if block.held is not None and block.name not in problem.parts]
+    listed = HELD_OF_CARRIED if isinstance(problem, MotionProblem) else HELD
+    held = [block for block in (*listed, *ESTIMATED) if block.held is not None and block.name not in problem.parts]
     return tuple(block(problem.setup) for block in held)
 
 
@@ -58,7 +63,8 @@ def equations_of(solution: Solution, held: Sequence[Block], frames: Sequence[str
 
     def part_in_metres(some: IntArray) -> NormalEquations:
         rows = problem.rows(state, views[some], metres)
-        return assemble(problem.pattern, (own for _, _, own in rows))
+        in_metres = assemble(problem.pattern, (own for _, _, own in rows))
+        return problem.eliminable(in_metres, state, float(np.trace(in_metres.U) / np.trace(base.U)))
 
     def common(some: IntArray) -> FloatArray:
         return common_gradients(solution.common, problem, state, base, views[some])
@@ -126,21 +132,25 @@ def _view_rows(
     gram, size, score = np.zeros((V, H, H)), np.zeros((V, H, H)), np.zeros((V, H))
     by_globals: list[FloatArray] = [np.zeros(0)] * V
     index: list[IntArray] = [np.zeros(0, int)] * V
-    by_unit, low = np.zeros((V, H, D)), np.zeros((V, N_PARTS, H))
+    kinds = len(OF_BOARDS)
+    units = np.repeat(obs.frame[views, None], kinds, axis=1)
+    by_unit, low = np.zeros((V, kinds, H, D)), np.zeros((V, N_PARTS, H))
     low_globals, low_unit, low_residual = np.zeros((V, N_PARTS, P)), np.zeros((V, N_PARTS, D)), np.zeros((V, N_PARTS))
     for some, look, rows in problem.rows(state, views):
         own, n, kind = place[some], len(some), look.kind
+        of_kind = OF_BOARDS.index(kind)
+        units[own, of_kind] = rows.units
         A = np.zeros((*look.left.shape, H))
         for block in tested:
             if block.changes(look):
                 A[..., columns[block.name]] = block.derivative(look)
-        in_metres = (A * metres[OF_BOARDS.index(kind)][some][..., None, None]).reshape(n, -1, H)
+        in_metres = (A * metres[of_kind][some][..., None, None]).reshape(n, -1, H)
         size[own] += in_metres.transpose(0, 2, 1) @ in_metres
-        A = (A * scales[OF_BOARDS.index(kind)][some][..., None, None]).reshape(n, -1, H)
+        A = (A * scales[of_kind][some][..., None, None]).reshape(n, -1, H)
         J, J_unit, r = rows.flat()
         gram[own] += A.transpose(0, 2, 1) @ A
         score[own] += (r[:, None] @ A)[:, 0]
-        by_unit[own] += A.transpose(0, 2, 1) @ J_unit
+        by_unit[own, of_kind] += A.transpose(0, 2, 1) @ J_unit
         Q, at = part_of(problem, kind)
         Q = Q[some].transpose(0, 2, 1)
         low[own, at] = Q @ A
@@ -152,7 +162,7 @@ def _view_rows(
             by_globals[v] = np.concatenate([by_globals[v].reshape(H, -1), dense[k], points[k]], axis=1)
             index[v] = np.concatenate([index[v], rows.columns, rows.point_columns[k].ravel()])
     return ViewRows(
-        obs.frame[views],
+        units,
         _stacked(index),
         gram,
         _stacked(by_globals),
@@ -163,6 +173,7 @@ def _view_rows(
         low_unit,
         low_residual,
         size,
+        np.repeat(np.arange(kinds), [N_PIXEL, N_DEPTH]),
     )
 
 
