@@ -13,10 +13,12 @@ from scipy.optimize import least_squares
 from rgbd_calib.cameras.wall import SeenWall, wall_cells
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.linear import symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.pipeline.evaluate import against_truth
 from rgbd_calib.rig import solve
 from rgbd_calib.rig.blocks import ESTIMATED, HELD, Kind
+from rgbd_calib.rig.blocks.block import Scope
 from rgbd_calib.rig.bundle import bundle, free_structure, freed, problem_of
 from rgbd_calib.rig.observations import Walls
 from rgbd_calib.rig.problem import Problem, State
@@ -404,3 +406,24 @@ def test_the_third_radial_coefficient_that_few_views_started_with_is_no_knowledg
     wild = bundle(placed, sv.BOARD, priors, T, "C1")
     for name in rig.cameras:
         np.testing.assert_allclose(wild.intrinsics(name).vector, plain.intrinsics(name).vector, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "block, said",
+    [
+        ("depth field", "C2's depth does not follow the board"),
+        ("intrinsics", "does not determine C2's intrinsics"),
+        ("print", "does not determine the print"),
+    ],
+)
+def test_singular_equations_name_what_is_not_determined(monkeypatch, block: str, said: str) -> None:
+    own, state = problem(0)
+    equations = own.equations(state)
+    at = own.index(block, own.setup.cameras.index("C2") if own.block(block).scope is Scope.CAMERA else None)[0]
+    U, free = equations.U.copy(), np.flatnonzero(own.prior.free)
+    alone = 1 / symmetric_inverse(equations.reduced[np.ix_(free, free)])[np.searchsorted(free, at)].max()
+    assert alone < equations.reduced[at, at]
+    U[at, at] -= (alone + equations.reduced[at, at]) / 2  # indefinite, with a positive diagonal
+    monkeypatch.setattr(Problem, "equations", lambda *_: replace(equations, U=U))
+    with pytest.raises(CalibrationError, match=said):
+        solve.covariance(own, state)

@@ -8,8 +8,9 @@ from enum import Enum
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError
-from rgbd_calib.geometry.linear import Covariance
+from rgbd_calib.geometry.linear import Covariance, NormalEquations
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.rig.blocks.block import Kind, Scope
 from rgbd_calib.rig.pose_rows import pose_rows
 from rgbd_calib.rig.problem import Problem, State
 
@@ -70,12 +71,29 @@ def covariance(problem: Problem, state: State) -> Covariance:
     CalibrationError
         The equations are singular.
     """
+    equations = problem.equations(state)
     try:
-        return problem.equations(state).covariance(problem.prior.free)
+        return equations.covariance(problem.prior.free)
     except np.linalg.LinAlgError:
-        raise CalibrationError(
-            "the recording does not determine all unknowns of the bundle (singular equations). Film more common views"
-        ) from None
+        raise CalibrationError(_undetermined(problem, equations)) from None
+
+
+def _undetermined(problem: Problem, equations: NormalEquations) -> str:
+    """Which unknowns singular equations do not determine, for people: those of the least eigenvalue."""
+    free = np.flatnonzero(problem.prior.free)
+    A = equations.reduced[np.ix_(free, free)]
+    scale = 1 / np.sqrt(np.maximum(np.abs(np.diag(A)), 1e-300))
+    worst = int(free[np.argmax(np.abs(np.linalg.eigh(A * np.outer(scale, scale))[1][:, 0]))])
+    block = next(b for b in problem.blocks if worst < problem.parts[b.name].stop)
+    camera, what = problem.setup.cameras[(worst - problem.parts[block.name].start) // block.n], block.name
+    if block.scope is not Scope.CAMERA:
+        return f"the recording does not determine the {what} (singular equations). Film more common views"
+    if Kind.PIXEL in block.kinds:
+        return f"the recording does not determine {camera}'s {what} (singular equations). Film more common views of {camera}"
+    return (
+        f"{camera}'s depth does not follow the board (singular equations of its {what}). Check that its depth images are of the "
+        "same instants as its colour images, of this camera, and in the unit that is stated"
+    )
 
 
 def sandwich_covariance(problem: Problem, state: State, plain: Covariance) -> FloatArray:
