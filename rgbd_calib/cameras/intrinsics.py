@@ -80,9 +80,11 @@ def calibrate_intrinsics(
     kept, dropped = most_telling(views, board, size, params.max_views), dict[str, str]()
     not_needed = tuple(v.frame for v in views if v.frame not in {k.frame for k in kept})
     _check_enough(kept, params, name)
-    choice = choose(kept, board, size) if params.lens == "auto" else LensChoice(params.lens, {})
+    if params.lens == "auto":
+        choice, solution = choose(kept, board, size)
+    else:
+        choice, solution = LensChoice(params.lens, {}), best(kept, board, size, params.lens)
     while True:
-        solution = best(kept, board, size, choice.kind)
         rms = solution.view_rms_px
         worst = int(np.argmax(rms))
         limit_px = max(params.max_view_ratio * float(np.median(rms)), params.min_outlier_px)
@@ -91,6 +93,7 @@ def calibrate_intrinsics(
         dropped[kept[worst].frame] = f"RMS {rms[worst]:.2f} px, {limit_px:.2f} px allowed"
         del kept[worst]
         _check_enough(kept, params, name)
+        solution = best(kept, board, size, choice.kind)
     lens, sd = solution.lens, solution.standard_deviation
     if not np.all(sd[:2] < MAX_RELATIVE_SD * lens.vector[:2]):
         raise CalibrationError(

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from rgbd_calib.cameras.zhang import ZhangSolution, solve
+from rgbd_calib.cameras.zhang import ZhangSolution, solve, view_rms_px
 from rgbd_calib.errors import CalibrationError
-from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics, LensKind
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.types import Board, BoardView
@@ -48,8 +47,8 @@ class LensChoice:
         return f"lens {self.kind}; RMS of views held out: {', '.join(each)}"
 
 
-def choose(views: Sequence[BoardView], board: Board, size: tuple[int, int]) -> LensChoice:
-    """The simplest kind of lens that no other is surely better than.
+def choose(views: Sequence[BoardView], board: Board, size: tuple[int, int]) -> tuple[LensChoice, ZhangSolution]:
+    """The simplest kind of lens that no other is surely better than, and the lens of this kind that fits the views.
 
     Raises
     ------
@@ -58,22 +57,21 @@ def choose(views: Sequence[BoardView], board: Board, size: tuple[int, int]) -> L
     """
     brown = best(views, board, size, "brown")
     if len(views) < LEAST_VIEWS:
-        return LensChoice("brown", {})
+        return LensChoice("brown", {}), brown
     rational = _attempt(views, board, size, "rational")
     gain = np.median(rational.view_rms_px / brown.view_rms_px) if rational else 1.0
     if gain > max(WORTH.values()) and not brown.folds:
-        return LensChoice("brown", {})
+        return LensChoice("brown", {}), brown
     left: dict[LensKind, FloatArray] = {}
+    chosen, solution = SIMPLEST_FIRST[0], brown
     whole = {"brown": brown, "fisheye": _attempt(views, board, size, "fisheye"), "rational": rational}
     for kind in SIMPLEST_FIRST:
         if (own := whole[kind]) is not None:
             left[kind] = np.full(len(views), np.inf) if own.folds else _held_out(views, board, size, kind)
-    chosen: LensKind = "brown"
-    for kind in left:
-        if kind != chosen and _better(left[kind], left[chosen], WORTH[kind]):
-            chosen = kind
+            if kind != chosen and _better(left[kind], left[chosen], WORTH[kind]):
+                chosen, solution = kind, own
     medians = {kind: float(np.median(own)) for kind, own in left.items()}
-    return LensChoice(chosen, {kind: px if np.isfinite(px) else None for kind, px in medians.items()})
+    return LensChoice(chosen, {kind: px if np.isfinite(px) else None for kind, px in medians.items()}), solution
 
 
 def best(views: Sequence[BoardView], board: Board, size: tuple[int, int], kind: LensKind) -> ZhangSolution:
@@ -115,9 +113,7 @@ def _posed_rms_px(view: BoardView, board: Board, lens: Intrinsics) -> float:
     if not np.isfinite(rays).all():
         return float("inf")
     _, turn, shift = cv2.solvePnP(corners_m, np.ascontiguousarray(rays[:, :2]), np.eye(3), None)
-    T_color_board = se3.make(so3.exp(np.asarray(turn, float).ravel()), np.asarray(shift, float).ravel())
-    left = lens.project(se3.transform(T_color_board, corners_m)) - view.corners_px
-    return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+    return view_rms_px(view, board, lens, turn, shift)
 
 
 def _better(one: FloatArray, other: FloatArray, worth: float) -> bool:

@@ -99,15 +99,19 @@ def solve(
     lens = start.with_vector(np.concatenate([K[[0, 4, 2, 5]], k]))
     if kind != "fisheye":
         return ZhangSolution(lens, _floats(found[5])[: len(lens.vector)], rms, _floats(found[7]))
-    by_view = np.zeros(len(views))
-    for i, view in enumerate(views):
-        T_color_board = se3.make(so3.exp(_floats(found[3][i])), _floats(found[4][i]))
-        left = lens.project(se3.transform(T_color_board, corners_m[view.ids])) - view.corners_px
-        by_view[i] = np.sqrt(np.mean(np.sum(left**2, axis=1)))
+    posed = zip(views, found[3], found[4], strict=True)
+    by_view = np.array([view_rms_px(view, board, lens, turn, shift) for view, turn, shift in posed])
     n_corners, n_unknowns = sum(len(view.ids) for view in views), len(lens.vector) + 6 * len(views)
     variance = rms**2 * n_corners / (2 * n_corners - n_unknowns)
     total = np.sum([information(view, board, lens) for view in views], axis=0)
     return ZhangSolution(lens, np.sqrt(variance * np.diag(symmetric_inverse(total))), rms, by_view)
+
+
+def view_rms_px(view: BoardView, board: Board, lens: Intrinsics, turn: object, shift: object) -> float:
+    """RMS of a view, px, of both coordinates together, with the board where OpenCV's rotation vector and shift put it."""
+    T_color_board = se3.make(so3.exp(_floats(turn)), _floats(shift))
+    left = lens.project(se3.transform(T_color_board, board.corners_m()[view.ids])) - view.corners_px
+    return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
 
 
 def _floats(values: object) -> FloatArray:
