@@ -147,6 +147,11 @@ class Equations:
         return self.plain.equations
 
     @cached_property
+    def common_of_all(self) -> FloatArray:
+        """(K, P), `common` of all views."""
+        return self.common(np.arange(len(self.camera)))
+
+    @cached_property
     def reduced_low(self) -> FloatArray:
         """(V, parts, P), the model's columns in the pose parts, the units eliminated."""
         own, base = self.rows, self.base

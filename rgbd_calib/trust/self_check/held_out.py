@@ -83,10 +83,14 @@ def delete(eq: Equations, gone: BoolArray) -> Deletion:
         return np.asarray(np.einsum("d,vdp,vdq->pq", eq.excess, low[views], low[views], optimize=True))
 
     covariance = left + left @ excess(~gone) @ left
-    common = -_common(eq, ~gone) @ left
+    of_gone = eq.common(np.flatnonzero(gone))
+    # errors that were taken into the model are not followed
+    beside = [(0, 0), (0, len(free) - of_gone.shape[1])]
+    of_gone, of_left = np.pad(of_gone, beside), np.pad(eq.common_of_all - of_gone, beside)
+    common = -of_left @ left
     S_gone, g_gone = S_gone * np.outer(free, free), g_gone * free
     h = g_gone + S_gone @ step
-    shared = _common(eq, gone) * free + common @ S_gone
+    shared = of_gone * free + common @ S_gone
     variance = S_gone + excess(gone) + S_gone @ covariance @ S_gone + shared.T @ shared
     said = np.diag(S_gone) > UNTOUCHED * np.diag(S)
     h, variance = h[said], variance[np.ix_(said, said)]
@@ -96,12 +100,6 @@ def delete(eq: Equations, gone: BoolArray) -> Deletion:
     statistic = float(np.sum((vectors[:, kept].T @ (scale * h)) ** 2 / values[kept]))
     dof = int(kept.sum())
     return Deletion(step, covariance, common, statistic, dof, float(chi2.sf(statistic, dof)))
-
-
-def _common(eq: Equations, views: BoolArray) -> FloatArray:
-    """(K, P + E), of views (V,) bool; errors that were taken into the model are not followed."""
-    own = eq.common(np.flatnonzero(views))
-    return np.pad(own, [(0, 0), (0, sum(len(t.columns) for t in eq.taken))])
 
 
 def _low(eq: Equations, k: int) -> FloatArray:

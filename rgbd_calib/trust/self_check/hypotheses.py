@@ -85,9 +85,8 @@ def _over_time(eq: Equations, block: Block, c: int, params: SelfCheckParams) -> 
         late = where & (eq.time_index >= split)
         sides = len(np.unique(eq.time_index[late])), len(np.unique(eq.time_index[where & ~late]))
         if min(sides) >= params.min_side and _seen(eq, block, late):
-            frame = eq.frames[eq.time_index[late].min()].removeprefix(
-                f"{eq.cameras[c]} "
-            )  # carried frames have the camera's name
+            # frames of carried boards begin with the camera's name
+            frame = eq.frames[eq.time_index[late].min()].removeprefix(f"{eq.cameras[c]} ")
             yield Hypothesis(fault, (eq.cameras[c],), _columns(eq, block, fault), late, frame)
 
 
