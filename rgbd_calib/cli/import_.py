@@ -12,6 +12,7 @@ import click
 from rgbd_calib.cli.options import (
     Number,
     board_options,
+    give,
     json_option,
     output_option,
     overwrite_option,
@@ -20,7 +21,6 @@ from rgbd_calib.cli.options import (
     refuse_existing,
     say,
 )
-from rgbd_calib.cli.streams import give
 from rgbd_calib.errors import ConfigError
 
 if TYPE_CHECKING:

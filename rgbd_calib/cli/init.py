@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rgbd_calib.cli.options import Number, board_options, json_option, overwrite_option, progress, say, show
-from rgbd_calib.cli.streams import give
+from rgbd_calib.cli.options import Number, board_options, give, json_option, overwrite_option, progress, say, show
 from rgbd_calib.errors import ConfigError
 
 if TYPE_CHECKING:

@@ -152,11 +152,10 @@ def calibrate(
     boards = boards or {p.view.frame: rig.cameras[p.view.camera].T_world_color @ p.T_color_board for p in placed}
     evaluation = against_views(rig, placed, found) if _common_frames(placed) else None
     residuals = residuals or details.residuals_of_rig(rig, placed, boards, board)
-    quality |= common_quality(recording, views, evaluation)
+    quality |= common_quality(recording, views, placed, evaluation)
     quality |= details.starting_rig(
         views.association.views, views.association.T_world_color, lenses, board, reference, config.initialization
     )
-    quality["working_distance_m"] = round(float(np.median([p.T_color_board[2, 3] for p in placed])), 3)
     if joint is not None:
         with_depth = [name for name in cameras if recording.depth_files[name]]
         corners_m = np.concatenate([se3.transform(T, board.corners_m()) for T in boards.values()])

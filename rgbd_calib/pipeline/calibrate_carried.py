@@ -59,8 +59,11 @@ def calibrate_carried(
     data = correspond(named, board, own.lenses.intrinsics, own.depth.biases, cameras)
     residuals, joint = details.residuals_of_bundle(solved, board), details.joint_of_bundle(solved)
     found = replace(board, shape=solved.board_shape)
-    quality = {**bundle_quality(solved), **common_quality(recording, views, None), **clock_quality(own, reference)}
-    quality["working_distance_m"] = round(float(np.median([p.T_color_board[2, 3] for p in own.placed])), 3)
+    quality = {
+        **bundle_quality(solved),
+        **common_quality(recording, views, own.placed, None),
+        **clock_quality(own, reference),
+    }
     with_depth = [name for name in cameras if recording.depth_files[name]]
     corners_m = np.concatenate([se3.transform(T, board.corners_m()) for T in boards.values()])
     quality |= details.expectation(rig, joint, corners_m, with_depth)

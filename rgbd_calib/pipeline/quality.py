@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from rgbd_calib.pipeline.properties import properties_of
 from rgbd_calib.rig.biobjective import RefinementResult
 from rgbd_calib.rig.initialization import InitializationResult
 from rgbd_calib.rig.solution import Solution
+from rgbd_calib.types import PlacedView
 
 if TYPE_CHECKING:
     from rgbd_calib.pipeline.calibrate import Views
@@ -75,7 +76,10 @@ def bundle_quality(solved: Solution) -> dict[str, Any]:
     }
 
 
-def common_quality(recording: Recording, views: Views, evaluation: Evaluation | None) -> dict[str, Any]:
+def common_quality(
+    recording: Recording, views: Views, placed: Sequence[PlacedView], evaluation: Evaluation | None
+) -> dict[str, Any]:
+    """What is said of a calibration by any method; `placed` are the views with the boards where the rig has them."""
     found, association = views.detections, views.association
     used = {name: sum(p.view.camera == name for p in association.views) for name in recording.cameras}
     out: dict[str, Any] = {
@@ -93,6 +97,7 @@ def common_quality(recording: Recording, views: Views, evaluation: Evaluation | 
             {"cameras": list(p.cameras), "common_frames": p.frames, "agreeing": p.votes, "rival": p.rival_votes}
             for p in association.pairs
         ],
+        "working_distance_m": round(float(np.median([p.T_color_board[2, 3] for p in placed])), 3),
     }
     choices = {name: own.choice for name, own in views.lenses.results.items()}
     if chosen := {name: asdict(choice) for name, choice in choices.items() if choice.held_out_px}:

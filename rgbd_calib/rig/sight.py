@@ -59,7 +59,7 @@ class Look:
     """(n, N, r, 3), by the point in the parent's frame; of a board."""
     by_normal: FloatArray | None = None
     """(n, N, r, 3), by the board's normal in the parent's frame; of depth on a board."""
-    by_shift: FloatArray | None = None
+    by_turn: FloatArray | None = None
     """(n, N, 2), by a turn of the depth image's rays against those of the colour image, metres; of depth on a board."""
     by_lens: FloatArray | None = None
     """(n, N, r, 4 + k), by the intrinsics; of pixels, and of depth that is read where no corner was seen."""

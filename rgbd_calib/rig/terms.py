@@ -76,7 +76,7 @@ def look_at_depth(sight: Sight, turn: FloatArray, corrected_m: FloatArray, slope
         sight,
         (by_point @ R)[:, :, None],
         by_normal=(by_s * s_by_normal / slope[..., None] @ R)[:, :, None],
-        by_shift=by_s * n[..., :2] * (z / distance / slope)[..., None],
+        by_turn=by_s * n[..., :2] * (z / distance / slope)[..., None],
         slope=slope,
     )
 

@@ -70,11 +70,11 @@ class Registration(KeepsFunctions, Block):
         return np.concatenate([np.linalg.solve(pixel_by_ray, of_pixel), of_baseline], axis=-1)
 
     def changes(self, look: Look) -> bool:
-        return look.by_shift is not None
+        return look.by_turn is not None
 
     def derivative(self, look: Look) -> FloatArray:
-        assert look.by_shift is not None  # rows of depth have it
-        return look.by_shift[:, :, None] @ self.by_parameters(look.camera, look.pixels_px, look.depth_m)
+        assert look.by_turn is not None  # rows of depth have it
+        return look.by_turn[:, :, None] @ self.by_parameters(look.camera, look.pixels_px, look.depth_m)
 
 
 def turn_of_rays(

@@ -7,6 +7,8 @@ later. The exposure's midpoint, if the stamp is of its beginning, is part of the
 
 from __future__ import annotations
 
+from abc import abstractmethod
+
 import numpy as np
 
 from rgbd_calib.geometry.so3 import FloatArray
@@ -22,9 +24,9 @@ class OfTime(Block):
     scope = Scope.CAMERA
     setup: MotionSetup
 
+    @abstractmethod
     def means_and_sds(self) -> tuple[FloatArray, FloatArray]:
         """Means and deviations, (C, n) each."""
-        raise NotImplementedError
 
     def start(self) -> FloatArray:
         return self.means_and_sds()[0]

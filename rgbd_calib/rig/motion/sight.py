@@ -103,7 +103,7 @@ def look_at_delayed_depth(sight: Sight, turn: FloatArray, corrected_m: FloatArra
         sight,
         ((by_later + by_seen) * w @ R)[:, :, None],
         by_normal=(by_normal * w @ R)[:, :, None],
-        by_shift=-by_ray * n[..., :2] * w,
+        by_turn=-by_ray * n[..., :2] * w,
         slope=slope,
         seen=seen,
         by_seen=(by_seen * w @ R)[:, :, None],
