@@ -14,7 +14,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import whole_file
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.rig_inputs import check_depth_geometry, check_frame, common_cameras
-from rgbd_calib.types import Rig
+from rgbd_calib.types import Rig, RigCamera
 
 GREY = np.uint8(128)
 """Of points of which no colour is known."""
@@ -102,6 +102,29 @@ def on_jump(depth_m: FloatArray, share: float) -> np.ndarray:
     return np.asarray((z > 0) & (np.maximum(far - z, z - near) > share * z))
 
 
+def left_out(camera: RigCamera, depth_m: FloatArray, p_color: FloatArray, params: FuseParams) -> dict[str, np.ndarray]:
+    """Pixels (h, w), bool, with a measurement of which no point is made, by reason.
+
+    `p_color` (h, w, 3), metres, is where they are in the colour camera's frame.
+    """
+    jump = on_jump(depth_m, params.jump)
+    measured = np.isfinite(depth_m) & ~jump
+    far = measured & (p_color[..., 2] > params.max_depth_m)
+    return {
+        "edge": jump,
+        "too far": far,
+        "outside the range of the bias's data": _outside(camera, depth_m) & measured & ~far & params.within_range,
+        "beyond the lens model": measured & ~np.isfinite(p_color).all(axis=-1),
+        "behind the camera once corrected": measured & (p_color[..., 2] <= 0),
+    }
+
+
+def _outside(camera: RigCamera, depth_m: FloatArray) -> np.ndarray:
+    """Pixels (h, w), bool, outside the range of the data of the depth's bias."""
+    bias = camera.depth_bias
+    return np.zeros(depth_m.shape, bool) if bias is None else bias.outside(depth_m)
+
+
 def write_ply(path: Path, points_m: FloatArray, colors: np.ndarray) -> None:
     """Write points (n, 3), metres, with colours (n, 3), uint8, as binary PLY."""
     import open3d as o3d
@@ -126,16 +149,10 @@ def _cloud(recording: Recording, rig: Rig, name: str, frame: str, params: FusePa
     camera = rig.cameras[name]
     check_depth_geometry(recording, name, camera)
     depth_m = recording.depth_own_m(name, frame)
-    measured = np.isfinite(depth_m)
-    jump = on_jump(depth_m, params.jump)
     p_color = camera.depth_image.points(depth_m)
-    lost = measured & ~np.isfinite(p_color).all(axis=-1)
-    behind = measured & (p_color[..., 2] <= 0)
-    far = measured & ~jump & (p_color[..., 2] > params.max_depth_m)
-    bias = camera.depth_bias
-    outside = bias.outside(depth_m) & measured if bias is not None else np.zeros_like(measured)
-    beyond = outside & ~jump & ~far if params.within_range else np.zeros_like(measured)
-    kept = measured & ~jump & ~far & ~lost & ~behind & ~beyond
+    dropped = left_out(camera, depth_m, p_color, params)
+    kept = np.isfinite(depth_m) & ~np.any(list(dropped.values()), axis=0)
+    outside = _outside(camera, depth_m) & kept
     p_color = p_color[kept]
     if frame in recording.color_files[name]:
         at = np.rint(np.clip(np.nan_to_num(camera.intrinsics.project(p_color), nan=-1e6), -1e6, 1e6)).astype(int)
@@ -145,13 +162,5 @@ def _cloud(recording: Recording, rig: Rig, name: str, frame: str, params: FusePa
         colors = np.where(shown[:, None], recording.color(name, frame)[v, u, ::-1], GREY)
     else:
         colors = np.full((len(p_color), 3), GREY)
-    dropped = {
-        "edge": int(np.count_nonzero(jump)),
-        "too far": int(np.count_nonzero(far)),
-        "outside the range of the bias's data": int(np.count_nonzero(beyond)),
-        "beyond the lens model": int(np.count_nonzero(lost & ~jump)),
-        "behind the camera once corrected": int(np.count_nonzero(behind & ~jump)),
-    }
-    return Cloud(
-        name, se3.transform(camera.T_world_color, p_color), colors, dropped, int(np.count_nonzero(outside & kept))
-    )
+    counts = {why: int(np.count_nonzero(pixels)) for why, pixels in dropped.items()}
+    return Cloud(name, se3.transform(camera.T_world_color, p_color), colors, counts, int(np.count_nonzero(outside)))

@@ -306,7 +306,7 @@ def with_unit(
         )
     remark = f"{name}: {told.unit_m:g} m for each unit of depth, by the board's size in {told.views} images"
     if told.unit_m != 0.001:  # a mistyped square has the same effect
-        mm = 1e6 * answers.board.square_m * 0.001 / told.unit_m / 1000
+        mm = answers.board.square_m / told.unit_m
         remark += f" (if depth is in millimetres, the squares would be {mm:g} mm: check --square)"
     return replace(info, depth_scale=told.unit_m, depth_stated=True), remark
 

@@ -214,17 +214,12 @@ def _moved_clouds(
     out = []
     for name in names:
         depth_m = recording.depth_own_m(name, frame)
-        points = [
-            se3.transform(one.cameras[name].T_world_color, p := one.cameras[name].depth_image.points(depth_m))
-            for one in (first, rig)
-        ]
-        kept = (
-            np.isfinite(depth_m)
-            & ~fuse.on_jump(depth_m, params.jump)
-            & (p[..., 2] > 0)
-            & (p[..., 2] <= params.max_depth_m)
-        )
-        kept &= np.all(np.isfinite(points), axis=(0, -1))
+        both = [one.cameras[name] for one in (first, rig)]
+        in_color = [own.depth_image.points(depth_m) for own in both]
+        dropped = fuse.left_out(both[1], depth_m, in_color[1], params)
+        kept = np.isfinite(depth_m) & np.all(np.isfinite(in_color), axis=(0, -1))
+        kept &= ~np.any(list(dropped.values()), axis=0)
+        points = [se3.transform(own.T_world_color, p) for own, p in zip(both, in_color, strict=True)]
         chosen = np.flatnonzero(kept)
         chosen = chosen[:: max(1, len(chosen) * len(names) // POINTS)]
         out.append(MovedCloud(name, *(p.reshape(-1, 3)[chosen] for p in points)))
