@@ -16,8 +16,8 @@ from rgbd_calib.geometry import so3
 from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io import recording as files
+from rgbd_calib.io.dataset import DepthGeometry, SensorKind
 from rgbd_calib.io.processes import context
-from rgbd_calib.io.schema_parts import DepthCameraModel
 from rgbd_calib.simulation import rig
 from rgbd_calib.simulation.images import Setting, make_images, make_room, start
 from rgbd_calib.simulation.params import LENSES, PRINT, RIG, SENSORS, SimulationParams, generator
@@ -27,7 +27,7 @@ from rgbd_calib.simulation.realism import IDEAL
 from rgbd_calib.simulation.rig import TrueRig
 from rgbd_calib.simulation.time_of_flight import TimeOfFlight
 from rgbd_calib.simulation.truth import write_truth
-from rgbd_calib.types import Clock, DepthCamera
+from rgbd_calib.types import Clock
 
 Progress = Callable[[Iterable[Any], int, str], Iterator[Any]]
 T = TypeVar("T")
@@ -101,6 +101,10 @@ def workers(
         yield pool.imap_unordered
 
 
+KINDS: Mapping[str, SensorKind] = {"tof": "time_of_flight", "stereo": "stereo"}
+"""What dataset.yaml says of sensors; structured light is what is taken where nothing is said."""
+
+
 def true_rig_of(params: SimulationParams) -> TrueRig:
     """The rig that a simulation with these parameters has."""
     rng = generator(params.seed, RIG)
@@ -112,11 +116,10 @@ def true_rig_of(params: SimulationParams) -> TrueRig:
 
 
 def _write_datasets(folder: Path, params: SimulationParams, truth: TrueRig, work: list[Job]) -> None:
-    infos = {c: files.CameraInfo(params.width, params.height, serial=f"simulated-{c}") for c in truth.cameras}
+    infos = camera_infos(params, truth)
     for name in dict.fromkeys(j.recording for j in work):
         board = None if name == "depth_bias" else params.board
-        extra = unregistered(infos, truth.stated_depth)
-        files.write_dataset(folder / name, infos, board, extra, synchronous=name != "wave")
+        files.write_dataset(folder / name, infos, board, synchronous=name != "wave")
     for c in truth.cameras:
         walls = {j.frame: j.wall for j in work if j.wall is not None and j.camera == c}
         rows = [(frame, *taped.written) for frame, taped in walls.items()]
@@ -157,21 +160,18 @@ def _write_times(folder: Path, params: SimulationParams, truth: TrueRig, work: l
     return {c: clock.truth for c, clock in own.clocks.items()}
 
 
-def unregistered(infos: Mapping[str, files.CameraInfo], stated: Mapping[str, DepthCamera]) -> dict[str, Any] | None:
-    """What dataset.yaml says otherwise where depth has a camera of its own."""
-    if not stated:
-        return None
-    cameras = {
-        c: {
-            "width": info.width,
-            "height": info.height,
-            "depth_scale": info.depth_scale,
-            "serial": info.serial,
-            "depth": DepthCameraModel.of(stated[c]).model_dump(exclude_none=True),
-        }
-        for c, info in infos.items()
-    }
-    return {"depth_registered": False, "cameras": cameras}
+def camera_infos(params: SimulationParams, truth: TrueRig) -> dict[str, files.CameraInfo]:
+    """What dataset.yaml says of the cameras."""
+    infos = {}
+    for c in truth.cameras:
+        depth, kind = None, KINDS.get(params.sensor)
+        if (own := truth.stated_depth.get(c)) is not None:
+            lens = own.intrinsics
+            depth = DepthGeometry(lens.width, lens.height, lens, None, own.T_color_depth)
+        infos[c] = files.CameraInfo(
+            params.width, params.height, serial=f"simulated-{c}", depth=depth, depth_stated=depth is not None, kind=kind
+        )
+    return infos
 
 
 def provenance(params: SimulationParams) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from rgbd_calib.simulation.depth_sensor import DepthNoise, measure
 from rgbd_calib.simulation.infrared import room_reflectance
 from rgbd_calib.simulation.lighting import instant_light
 from rgbd_calib.simulation.params import SNAPSHOT, SimulationParams, generator
-from rgbd_calib.simulation.recording import Progress, provenance, true_rig_of, unregistered, workers
+from rgbd_calib.simulation.recording import Progress, camera_infos, provenance, true_rig_of, workers
 from rgbd_calib.simulation.render import Picture, render_room
 from rgbd_calib.simulation.rig import TrueRig
 from rgbd_calib.simulation.scene import Caster, Scene
@@ -188,9 +188,8 @@ def simulate_snapshots(
         for state, camera, share in progress(run(_make, work), len(work), "snapshots"):
             if state == "new":
                 changed[camera] = share
-    infos = {c: files.CameraInfo(params.width, params.height, serial=f"simulated-{c}") for c in truth.cameras}
     for name in STATES:
-        files.write_dataset(folder / name, infos, None, unregistered(infos, truth.stated_depth))
+        files.write_dataset(folder / name, camera_infos(params, truth), None)
     write_rig(folder / "truth.yaml", _truth(truth, params, change, changed))
     return {c: changed[c] for c in truth.cameras}
 
