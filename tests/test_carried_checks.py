@@ -38,22 +38,25 @@ def solved():
 
 
 def dense(found: Solution, eq: Equations) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """J of the globals and knots, priors' rows below, what is left, and the view of each row; priors have view -1."""
+    """J of the globals and knots, priors' rows below, what is left, and the view of each row, times the root of the weight
+    matrix; priors have view -1."""
     problem, state = found.problem, found.state
     assert isinstance(problem, MotionProblem)
     P, n = problem.n_globals, problem.own.n_windows
     K = 6 * (n + 3)
     blocks, left, of_view = [], [], []
-    for some, _, rows in problem.rows(state):
+    for some, look, rows in problem.rows(state):
         J_rows, J_unit, r = rows.flat()
+        Q, ratio = problem.weights.parts(look.kind)
         for k, v in enumerate(some):
             J = np.zeros((J_rows.shape[1], P + K))
             J[:, rows.columns] = J_rows[k]
             first = P + 6 * rows.units[k]
             J[:, first : first + 24] = J_unit[k]
             used = np.any(J != 0, axis=1)
-            blocks.append(J[used])
-            left.append(r[k][used])
+            root = np.eye(len(J)) - Q[v] * (1 - 1 / ratio) @ Q[v].T
+            blocks.append((root @ J)[used])
+            left.append((root @ r[k])[used])
             of_view.append(np.full(int(used.sum()), v))
     r, J_jerk = state.boards.spline.jerks()  # type: ignore[attr-defined]
     w = 1 / problem.jerk_scale()

@@ -106,7 +106,7 @@ def dense_problem(seed: int, excess: float = 0.0) -> tuple[Equations, np.ndarray
     eq = Equations(
         ("C1", "C2"), camera, frame, np.ones(VIEWS, bool), tuple("01234"), {"extra": slice(0, 2)}, rows,
         base.covariance(free), prior, gradient, free, np.full(VIEWS, ROWS), np.ones(VIEWS), np.zeros(2, int),
-        np.full(2, excess), part, part, lambda views: np.zeros((0, P)),
+        np.ones(2), np.full(2, excess), part, part, lambda views: np.zeros((0, P)),
     )  # fmt: skip
     return eq, J_all, r, A, sigma
 
@@ -246,7 +246,7 @@ def test_frames_held_out_by_formula_and_by_a_real_refit():
     problem = result.problem
     eq = equations_of(result, held_blocks(problem), frames)
     alone = result.covariance - result.common.covariance
-    as_solved = replace(eq, excess=problem.weights.excess)
+    as_solved = replace(eq, excess=np.concatenate([problem.weights.excess_pixel, np.zeros(3)]))
     nothing = np.zeros(len(eq.camera), bool)
     assert np.abs(delete(as_solved, nothing).covariance - alone).max() < 1e-3 * np.abs(alone).max()
     gone_frames = np.isin(result.course.frames, frames[:4])

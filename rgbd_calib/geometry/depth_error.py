@@ -36,7 +36,8 @@ ErrorOfDepth = Callable[[FloatArray], FloatArray]
 class DepthBias:
     """z_true = z + c0 + c1 z + c2 z^2 + ... + sum_d r_d P_d(t), z in metres, on [min_m, max_m] and held at the ends outside.
 
-    P_d are Legendre's polynomials of the degrees from RIPPLE_FROM on, t goes from -1 to 1 over the range.
+    P_d are Legendre's polynomials of the degrees from RIPPLE_FROM on, t goes from -1 to 1 over the range. Time of flight errs
+    along the pixel's ray, (x, y, 1) of length s: all of this is then of s z in place of z, and over s.
     """
 
     coefficients: tuple[float, ...]
@@ -49,7 +50,7 @@ class DepthBias:
     """r_d, metres: what goes up and down along the range."""
 
     along_ray: bool = False
-    """The ripple is of the distance along the pixel's ray, as time of flight has it, and not of z."""
+    """It errs in the distance along the pixel's ray, as time of flight does, and not in z."""
     data_m: tuple[float, float] | None = None
     """Range of the data where the curve goes on beyond it; None: that of the curve."""
 
@@ -60,20 +61,26 @@ class DepthBias:
 
     def error_m(self, z_m: FloatArray, stretch: FloatArray | float = 1.0) -> FloatArray:
         """z_true - z, metres, same shape as `z_m`; `stretch` is the length of the pixels' rays (x, y, 1)."""
-        out = polynomial.polyval(np.clip(z_m, self.min_m, self.max_m), np.array(self.coefficients))
+        s, r_m = self._along(z_m, stretch)
+        out = polynomial.polyval(r_m, np.array(self.coefficients)) / s
         if any(self.ripple_m):
-            out = out + self._ripple(z_m, stretch) @ np.array(self.ripple_m)
+            out = out + self._ripple(s, r_m) @ np.array(self.ripple_m)
         return np.asarray(out)
 
     def by_parameters(self, z_m: FloatArray, stretch: FloatArray | float = 1.0) -> FloatArray:
         """Derivatives (..., k) of the error by the coefficients, then by the ripple."""
-        powers = polynomial.polyvander(np.clip(z_m, self.min_m, self.max_m), len(self.coefficients) - 1)
-        return np.asarray(np.concatenate([powers, self._ripple(z_m, stretch)], axis=-1) if self.ripple_m else powers)
+        s, r_m = self._along(z_m, stretch)
+        powers = polynomial.polyvander(r_m, len(self.coefficients) - 1) / s[..., None]
+        return np.asarray(np.concatenate([powers, self._ripple(s, r_m)], axis=-1) if self.ripple_m else powers)
 
-    def _ripple(self, z_m: FloatArray, stretch: FloatArray | float) -> FloatArray:
-        """(..., k)."""
+    def _along(self, z_m: FloatArray, stretch: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+        """s, and what the curve is of: s z, held to the range."""
         s = np.asarray(stretch if self.along_ray else 1.0)
-        t = 2 * (np.clip(z_m * s, self.min_m, self.max_m) - self.min_m) / (self.max_m - self.min_m) - 1
+        return s, np.clip(z_m * s, self.min_m, self.max_m)
+
+    def _ripple(self, s: FloatArray, r_m: FloatArray) -> FloatArray:
+        """(..., k)."""
+        t = 2 * (r_m - self.min_m) / (self.max_m - self.min_m) - 1
         return legendre.legvander(t, RIPPLE_FROM + len(self.ripple_m) - 1)[..., RIPPLE_FROM:] / s[..., None]
 
     def correct(self, z_m: FloatArray, stretch: FloatArray | float = 1.0) -> FloatArray:

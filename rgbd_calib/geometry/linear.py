@@ -8,6 +8,9 @@ The normal equations of globals x and units b (one D x D block each; a board's p
 with Cov_xx = S^-1, Cov_xb = -S^-1 W V^-1 and Cov_bb = V^-1 + V^-1 W' S^-1 W V^-1 (the paper, eq. A9-A11). A unit touches a few
 of the globals: units with the same ones are a group, whose part of W is dense. Rows come in batches (:class:`Rows`), each
 view's with dense columns and with a few columns of single points.
+
+Rows whose errors are not independent have a weight matrix of their own, I - Q C Q' for each view: their products are those of
+the rows less those of a few rows C^(1/2) Q' (:meth:`Rows.parts`), which are taken off.
 """
 
 from __future__ import annotations
@@ -71,6 +74,22 @@ class Rows:
             self.J_unit.reshape(n, -1, self.J_unit.shape[-1]),
             self.r.reshape(n, -1),
         )
+
+    def parts(self, Q: FloatArray) -> Rows:
+        """Q' times the rows, Q (n, N r, d): d rows of one point, whose columns are those of all points."""
+        J, J_unit, r = self.flat()
+        n, N, per, s = self.J_point.shape
+        Q_t = Q.transpose(0, 2, 1)
+        d = Q_t.shape[1]
+        J_point = np.einsum("ndkr,nkrs->ndks", Q_t.reshape(n, d, N, per), self.J_point).reshape(n, 1, d, N * s)
+        every = self.point_columns.reshape(n, 1, N * s)
+        own = (Q_t @ r[..., None])[:, None, :, 0]
+        return Rows(self.units, self.columns, (Q_t @ J)[:, None], (Q_t @ J_unit)[:, None], own, every, J_point)
+
+    def times(self, factor: FloatArray) -> Rows:
+        """Each row times a factor (..., r)."""
+        w = factor[..., None]
+        return replace(self, J=self.J * w, J_unit=self.J_unit * w, r=self.r * factor, J_point=self.J_point * w)
 
     def moved(self, step: FloatArray, unit_step: FloatArray) -> FloatArray:
         """What steps of the globals (P,) and of the units (F, D) add to the rows, (n, N, r)."""
@@ -140,33 +159,35 @@ class Assembly:
         self._V, self._h = np.zeros((F, D, D)), np.zeros((F, D))
         self._W = [np.zeros((len(u), len(c), D)) for u, c in zip(pattern.units, pattern.columns, strict=True)]
 
-    def add(self, rows: Rows) -> None:
+    def add(self, rows: Rows, sign: float = 1.0) -> None:
+        """The products of rows; with the sign -1 they are taken off."""
         J, J_unit, r = rows.flat()
         at = rows.columns
         every = J.reshape(-1, J.shape[-1])
-        self._U[np.ix_(at, at)] += every.T @ every
-        self._g[at] += r.ravel() @ every
-        np.add.at(self._V, rows.units, J_unit.transpose(0, 2, 1) @ J_unit)
-        np.add.at(self._h, rows.units, (r[:, None] @ J_unit)[:, 0])
-        self._couple(rows.units, np.broadcast_to(at, (len(r), len(at))), J.transpose(0, 2, 1) @ J_unit)
+        self._U[np.ix_(at, at)] += sign * (every.T @ every)
+        self._g[at] += sign * (r.ravel() @ every)
+        np.add.at(self._V, rows.units, sign * (J_unit.transpose(0, 2, 1) @ J_unit))
+        np.add.at(self._h, rows.units, sign * (r[:, None] @ J_unit)[:, 0])
+        self._couple(rows.units, np.broadcast_to(at, (len(r), len(at))), sign * (J.transpose(0, 2, 1) @ J_unit))
         if rows.J_point.shape[-1]:
-            self._add_points(rows)
+            self._add_points(rows, sign)
 
-    def _add_points(self, rows: Rows) -> None:
+    def _add_points(self, rows: Rows, sign: float) -> None:
         n, N, _, s = rows.J_point.shape
-        by_unit = np.einsum("nirs,nird->nisd", rows.J_point, rows.J_unit).reshape(n, N * s, -1)
+        by_unit = sign * np.einsum("nirs,nird->nisd", rows.J_point, rows.J_unit).reshape(n, N * s, -1)
         self._couple(rows.units, rows.point_columns.reshape(n, -1), by_unit)
         # views that see the same points are added up before they are scattered
         for mine in _alike(rows.point_columns.reshape(n, -1)):
             own = rows.point_columns[mine[0]]
             J_point = rows.J_point[mine].transpose(1, 3, 0, 2).reshape(N, s, -1)
             J = rows.J[mine].transpose(1, 0, 2, 3).reshape(N, J_point.shape[-1], -1)
-            cross = J_point @ J
+            signed = sign * J_point
+            cross = signed @ J
             np.add.at(self._U, (own[:, :, None], rows.columns), cross)
             np.add.at(self._U, (rows.columns[:, None, None], own), cross.transpose(2, 0, 1))
-            np.add.at(self._U, (own[:, :, None], own[:, None]), J_point @ J_point.transpose(0, 2, 1))
+            np.add.at(self._U, (own[:, :, None], own[:, None]), signed @ J_point.transpose(0, 2, 1))
             r = rows.r[mine].transpose(1, 0, 2).reshape(N, -1, 1)
-            np.add.at(self._g, own, (J_point @ r)[..., 0])
+            np.add.at(self._g, own, (signed @ r)[..., 0])
 
     def _couple(self, units: IntArray, columns: IntArray, values: FloatArray) -> None:
         """Adds (n, k, D) to W at units (n,) and globals (n, k)."""

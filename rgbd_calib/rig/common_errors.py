@@ -6,12 +6,13 @@ covariance that takes the residuals for independent is too small. Here the resid
 the image (u and v apart) and of the depth, and one variance is estimated for pixels and one for depth, in units of the
 observations' own: r_i = e_i + tau c_k for every weighted residual i of cell k, with e_i and c_k of variance 1.
 
-With a_k the indicator of cell k, s_k = J' a_k, A = J'J + prior and n_k = a_k' a_k, the residuals of the fit have
-r = (1 - H)(e + tau sum_k c_k a_k), H = J A^-1 J', so that T = sum_k (a_k' r)^2 / n_k has the expectation
+With W the weight matrix of :mod:`.weights`, a_k the indicator of cell k, s_k = J' W a_k, A = J' W J + prior and
+n_kj = a_k' W a_j, the residuals of the fit have r = (1 - H)(e + tau sum_k c_k a_k), H = J A^-1 J' W, so that
+T = sum_k (a_k' W r)^2 / n_kk has the expectation
 
-    E T = sum_k (n_k + a_k' Q (ratio^2 - 1) Q' a_k - s_k' A^-1 s_k) / n_k  +  tau^2 sum_kj (n_k [k=j] - s_k' A^-1 s_j)^2 / n_k
+    E T = sum_k (n_kk + a_k' Q e Q' a_k - s_k' A^-1 s_k) / n_kk  +  tau^2 sum_kj (n_kj - s_k' A^-1 s_j)^2 / n_kk
 
-(the first sum with the pose parts of :mod:`.weights`), which is solved for tau^2: the method of moments for a variance
+(e the excess of the pose parts of pixels), which is solved for tau^2: the method of moments for a variance
 component (C. R. Henderson, Biometrics 9(2), 1953). The estimate's covariance grows by tau^2 sum_k A^-1 s_k s_k' A^-1.
 """
 
@@ -20,6 +21,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from rgbd_calib.geometry.linear import BoolArray, Covariance, IntArray, NormalEquations, product
 from rgbd_calib.geometry.so3 import FloatArray
@@ -57,12 +59,14 @@ class _Sums:
 
     n: FloatArray
     """(K,), how many."""
+    gram: FloatArray
+    """(C, cells, cells), a' W a of the cells of each camera."""
     total: FloatArray
-    """(K,), of the residuals."""
+    """(K,), a' W r, of the residuals."""
     in_pose: FloatArray
-    """(K,), variance that the pose parts add to `total`."""
+    """(K,), variance that the pose parts of pixels add to `total`."""
     by_global: FloatArray
-    """(K, P), of the rows of the Jacobian."""
+    """(K, P), a' W J."""
     by_unit: FloatArray
     """(F, K, D)."""
 
@@ -79,10 +83,13 @@ def common_errors(problem: Problem, state: State, cov: Covariance) -> CommonErro
         kept = np.flatnonzero(mine & (n >= MIN_CORNERS))
         by_unit = sums.by_unit[:, kept]
         solved = cov.equations.unit_solved(by_unit.transpose(0, 2, 1)).transpose(0, 2, 1)
-        own = moved[kept] @ reduced[kept].T + product(solved, by_unit)
-        expected = np.sum((n[kept] + sums.in_pose[kept] - np.diag(own)) / n[kept])
-        growth = np.sum((np.diag(n[kept]) - own) ** 2 / n[kept, None])
-        tau2 = max(0.0, float(np.sum(sums.total[kept] ** 2 / n[kept]) - expected) / growth) if growth > 0 else 0.0
+        gram = block_diag(
+            *(own[np.ix_(*(kept[kept // N_CELLS == c] % N_CELLS,) * 2)] for c, own in enumerate(sums.gram))
+        )
+        left, own = gram - moved[kept] @ reduced[kept].T - product(solved, by_unit), np.diag(gram)
+        growth = np.sum(left**2 / own[:, None])
+        beyond = float(np.sum((sums.total[kept] ** 2 - sums.in_pose[kept] - np.diag(left)) / own))
+        tau2 = max(0.0, beyond / growth) if growth > 0 else 0.0
         covariance += tau2 * moved[kept].T @ moved[kept]
         tau.append(float(np.sqrt(tau2)))
     return CommonErrors(tau[0], tau[1], np.array(tau[2:]), covariance)
@@ -111,28 +118,43 @@ def _sums(problem: Problem, state: State, some: IntArray | None) -> _Sums:
     weights, sizes_px = problem.weights, problem.setup.sizes_px
     cells = _cells(problem.obs, sizes_px)
     K, F, P, D = len(sizes_px) * N_CELLS, problem.pattern.n_units, problem.n_globals, problem.unit_size
-    n, total, in_pose = np.zeros(K), np.zeros(K), np.zeros(K)
+    n, gram, total = np.zeros(K), np.zeros((K // N_CELLS, N_CELLS, N_CELLS)), np.zeros(K)
+    in_pose = np.zeros(K)
     by_global, by_unit = np.zeros((K, P)), np.zeros((F, K, D))
     for views, look, rows in problem.rows(state, some):
         of_pixels = look.kind is Kind.PIXEL
-        Q, ratio = (weights.Q_pixel, weights.ratio_pixel) if of_pixels else (weights.Q_depth, weights.ratio_depth)
+        Q, ratio = weights.parts(look.kind)
+        parts = rows.parts(Q[views])
         used = (np.abs(rows.J_unit).max(axis=-1) > 0) | (np.abs(rows.J).max(axis=-1) > 0)
         for columns in (slice(0, 2),) if of_pixels else (slice(2, 3), slice(3, 4)):
             cell = cells[views][..., columns]
             view, corner, axis = np.nonzero(used & (cell >= 0))
             k = cell[view, corner, axis]
-            n += np.bincount(k, minlength=K)
+            here = np.bincount(k, minlength=K)
+            n += here
+            gram[look.camera] += np.diag(here.reshape(-1, N_CELLS)[look.camera])
             total += np.bincount(k, rows.r[view, corner, axis], minlength=K)
             np.add.at(by_global, (k[:, None], rows.columns), rows.J[view, corner, axis])
             if rows.J_point.shape[-1]:
                 np.add.at(by_global, (k[:, None], rows.point_columns[view, corner]), rows.J_point[view, corner, axis])
             np.add.at(by_unit, (rows.units[view], k), rows.J_unit[view, corner, axis])
-            place = corner * cell.shape[-1] + axis
-            pairs, which = np.unique(np.stack([view, k]), axis=1, return_inverse=True)
-            sums = np.zeros((pairs.shape[1], Q.shape[2]))
-            np.add.at(sums, which.ravel(), Q[views[view], place])
-            in_pose += np.bincount(pairs[1], sums**2 @ (ratio**2 - 1), minlength=K)
-    return _Sums(n, total, in_pose, by_global, by_unit)
+            own_Q = Q[views[view], corner * cell.shape[-1] + axis]
+            (view, k), which = np.unique(np.stack([view, k]), axis=1, return_inverse=True)
+            in_parts = np.zeros((len(k), len(ratio)))  # a' Q of each view and cell
+            np.add.at(in_parts, which.ravel(), own_Q)
+            if of_pixels:
+                in_pose += np.bincount(k, in_parts**2 @ weights.excess_pixel, minlength=K)
+                continue
+            off = in_parts * (1 - ratio**-2)  # what W takes off
+            dense = np.zeros((2, len(views), N_CELLS, len(ratio)))
+            dense[:, view, k % N_CELLS] = in_parts, off
+            gram[look.camera] -= product(*dense)
+            total -= np.bincount(k, np.sum(off * parts.r[view, 0], axis=1), minlength=K)
+            at, off = (k[:, None], parts.point_columns[view, 0]), off[:, None]
+            np.add.at(by_global, (k[:, None], parts.columns), -(off @ parts.J[view, 0])[:, 0])
+            np.add.at(by_global, at, -(off @ parts.J_point[view, 0])[:, 0])
+            np.add.at(by_unit, (rows.units[view], k), -(off @ parts.J_unit[view, 0])[:, 0])
+    return _Sums(n, gram, total, in_pose, by_global, by_unit)
 
 
 def _reduced(sums: _Sums, eq: NormalEquations) -> FloatArray:

@@ -45,32 +45,24 @@ def pose_rows(problem: Problem, state: State) -> PoseRows:
     out = np.zeros((V, N_PARTS, problem.n_globals)), np.zeros((V, N_PARTS, problem.unit_size)), np.zeros((V, N_PARTS))
     units = np.zeros((V, N_PARTS), int)
     for views, look, rows in problem.rows(state):
-        Q, at = part_of(problem, look.kind)
+        Q, at = problem.weights.parts(look.kind)[0], part_of(look.kind)
         units[views, at] = rows.units[:, None]
-        Q = Q[views].transpose(0, 2, 1)
-        for target, own in zip(out, through(rows, Q, problem.n_globals), strict=True):
+        for target, own in zip(out, dense(rows.parts(Q[views]), problem.n_globals), strict=True):
             target[views, at] = own
     return PoseRows(*out, units)
 
 
-def part_of(problem: Problem, kind: Kind) -> tuple[FloatArray, slice]:
-    """Q (V, N r, d) of a kind of rows, and where its parts stand among all."""
-    if kind is Kind.PIXEL:
-        return problem.weights.Q_pixel, slice(0, N_PIXEL)
-    return problem.weights.Q_depth, slice(N_PIXEL, N_PARTS)
+def part_of(kind: Kind) -> slice:
+    """Where the parts of a kind of rows stand among all."""
+    return slice(0, N_PIXEL) if kind is Kind.PIXEL else slice(N_PIXEL, N_PARTS)
 
 
-def through(rows: Rows, Q: FloatArray, P: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Q' J (n, d, P), Q' J_unit (n, d, D) and Q' r (n, d) of rows, Q' (n, d, N r)."""
-    J, J_unit, r = rows.flat()
-    n, d, _ = Q.shape
+def dense(parts: Rows, P: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Q' J (n, d, P), Q' J_unit (n, d, D) and Q' r (n, d) of :meth:`Rows.parts`."""
+    J, J_unit, r = parts.flat()
+    n, d, _ = J.shape
     of_globals = np.zeros((n, d, P))
-    of_globals[:, :, rows.columns] = Q @ J
-    s = rows.J_point.shape[-1]
-    if s:
-        N, per = rows.J_point.shape[1:3]
-        own = np.einsum("ndkr,nkrs->ndks", Q.reshape(n, d, N, per), rows.J_point).reshape(n, d, N * s)
-        np.add.at(
-            of_globals, (np.arange(n)[:, None, None], np.arange(d)[:, None], rows.point_columns.reshape(n, 1, -1)), own
-        )
-    return of_globals, Q @ J_unit, (Q @ r[..., None])[..., 0]
+    of_globals[:, :, parts.columns] = J
+    at = np.arange(n)[:, None, None], np.arange(d)[:, None], parts.point_columns
+    np.add.at(of_globals, at, parts.J_point[:, 0])
+    return of_globals, J_unit, r

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.geometry.linear import BoolArray, Covariance, IntArray, NormalEquations, Pattern, Rows, assemble
+from rgbd_calib.geometry.linear import Assembly, BoolArray, Covariance, IntArray, NormalEquations, Pattern, Rows
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig import terms
 from rgbd_calib.rig.blocks import (
@@ -31,6 +31,7 @@ from rgbd_calib.rig.blocks import (
 )
 from rgbd_calib.rig.blocks.board_shape import nominal_corners_m
 from rgbd_calib.rig.blocks.registration import turn_of_rays
+from rgbd_calib.rig.blocks.units import N_OF_WALL
 from rgbd_calib.rig.observations import Observations
 from rgbd_calib.rig.setup import Setup
 from rgbd_calib.rig.sight import Look, Sight, sight_of
@@ -134,14 +135,14 @@ class Problem:
         return tuple((self.parts[b.name].start + c.parameters, c) for b in self.blocks for c in b.prior().components)
 
     @property
-    def component_groups(self) -> Iterator[tuple[Block, list[tuple[IntArray, Component]]]]:
+    def component_groups(self) -> list[list[tuple[IntArray, Component]]]:
         """The same, those of one block and camera together."""
+        sets: dict[tuple[str, int], list[tuple[IntArray, Component]]] = {}
         for block in self.blocks:
-            sets: dict[int, list[tuple[IntArray, Component]]] = {}
             for c in block.prior().components:
                 at = self.parts[block.name].start + c.parameters
-                sets.setdefault(int(c.parameters[0]) // block.n, []).append((at, c))
-            yield from ((block, group) for group in sets.values())
+                sets.setdefault((block.name, int(c.parameters[0]) // block.n), []).append((at, c))
+        return list(sets.values())
 
     @cached_property
     def prior(self) -> Prior:
@@ -180,10 +181,11 @@ class Problem:
         out = np.zeros((self.n_board_units + own.walls.n, self.unit_size))
         out[self.n_board_units :, 0] = w.robust_distance * (w.distance_factor * own.walls.sd_m) ** -2.0
         out[self.n_board_units :, 1:3] = own.params.wall_tilt_sd_rad**-2.0
+        out[self.n_board_units :, 3:6] = w.wall_bend[own.walls.camera, None] ** -2.0
         return out
 
     def start(self, boards: Boards) -> State:
-        return State({b.name: b.start() for b in self.blocks}, boards, WallPlanes(np.zeros((self.setup.walls.n, 3))))
+        return State({b.name: b.start() for b in self.blocks}, boards, WallPlanes.none(self.setup.walls.n))
 
     def moved(self, state: State, step: FloatArray, unit_step: FloatArray) -> State:
         """The state after a step of the globals (P,) and of the units (F + W, D)."""
@@ -198,7 +200,7 @@ class Problem:
     def unit_vector(self, state: State) -> FloatArray:
         """(F + W, D), of walls alone, zeros for the boards, to compare with what is known of them: zero."""
         out = np.zeros(self.unit_information.shape)
-        out[self.n_board_units :, :3] = state.walls.values
+        out[self.n_board_units :, :N_OF_WALL] = state.walls.values
         return out
 
     # ------------------------------------------------------------------------------------------------ prediction
@@ -257,15 +259,13 @@ class Problem:
             if not len(mine):
                 continue
             tape = state.values["tape"][c, 0] if "tape" in self.parts else 0.0
-            at, z = walls.pixels_px[mine], walls.depth_m[mine]
-            rays = self.wall_rays[mine]
+            at, z, rays = walls.pixels_px[mine], walls.depth_m[mine], self.wall_rays[mine]
             distance_m = walls.written_m[mine] + tape
             ahead, by_wall = state.walls.ahead(mine, distance_m, walls.tilts[mine], np.nan_to_num(rays))
             corrected, slope = self.corrected(state, c, at, z)
             seen = walls.seen[mine] & np.isfinite(rays[..., 0])
             look = terms.look_at_walls(c, at, z, ahead, by_wall[..., 0], slope, corrected, seen)
-            look = replace(look, values=self._of_depth(state, c))
-            yield mine, look, (by_wall / slope[..., None])[:, :, None]
+            yield mine, replace(look, values=self._of_depth(state, c)), (by_wall / slope[..., None])[:, :, None]
 
     def corrected(
         self, state: State, camera: int, pixels_px: FloatArray, depth_m: FloatArray
@@ -312,7 +312,7 @@ class Problem:
     def rows(
         self, state: State, views: IntArray | None = None, scales: tuple[FloatArray, FloatArray] | None = None
     ) -> Iterator[tuple[IntArray, Look, Rows]]:
-        """Weighted rows of the views of :meth:`sights`, pixels and depth in turn.
+        """Weighted rows of the views of :meth:`sights`, pixels and depth in turn, before what their weight matrix takes off.
 
         `scales` are factors of the residuals in px and metres, (V, N) each; None: those of the weights.
         """
@@ -323,10 +323,9 @@ class Problem:
 
     def wall_rows(self, state: State, cameras: Sequence[int]) -> Iterator[tuple[IntArray, Look, Rows]]:
         """Weighted rows of the walls of some cameras."""
-        scales, F = self.weights.wall_scales(self.setup.walls), self.n_board_units
+        scales, F, more = self.weights.wall_scales(self.setup.walls), self.n_board_units, self.unit_size - N_OF_WALL
         for some, look, by_wall in self.looks_at_walls(state, cameras):
-            by_unit = np.pad(by_wall, [(0, 0)] * 3 + [(0, self.unit_size - by_wall.shape[-1])])
-            yield some, look, self._rows(look, F + some, by_unit, scales[some])
+            yield some, look, self._rows(look, F + some, np.pad(by_wall, [(0, 0)] * 3 + [(0, more)]), scales[some])
 
     def _rows(self, look: Look, units: IntArray, by_unit: FloatArray, w: FloatArray) -> Rows:
         dense = [b for b in self.blocks if b.changes(look) and not isinstance(b, PointBlock)]
@@ -365,19 +364,22 @@ class Problem:
     def data_equations(
         self, state: State, views: IntArray | None = None, kinds: Sequence[Kind] = ALL
     ) -> NormalEquations:
-        """The normal equations of the observations alone: of some views, or of all, and the walls where they are asked for."""
-        boards = (rows for _, look, rows in self.rows(state, views) if look.kind in kinds)
-        cameras = range(len(self.setup.cameras)) if Kind.WALL in kinds else []
-        walls = (rows for _, _, rows in self.wall_rows(state, cameras))
-        return assemble(self.pattern, (rows for batch in (boards, walls) for rows in batch))
+        """The normal equations of the observations alone: of some views, or of all, and of the walls where asked for."""
+        out = Assembly(self.pattern)
+        for some, look, rows in self.rows(state, views):
+            if look.kind in kinds:
+                out.add(rows)
+                if (common := self.weights.taken_off(look.kind, some, rows)) is not None:
+                    out.add(common, -1.0)
+        for _, _, rows in self.wall_rows(state, range(len(self.setup.cameras)) if Kind.WALL in kinds else []):
+            out.add(rows)
+        return out.equations()
 
     def equations(self, state: State, views: IntArray | None = None) -> NormalEquations:
         """The normal equations, priors included; of some views, or of all."""
-        known, prior = self.unit_information, self.prior
+        known, prior, d = self.unit_information, self.prior, self.vector(state) - self.prior.mean
         data = self.data_equations(state, views).plus_units(known, known * self.unit_vector(state))
-        return self.eliminable(data, state).plus(
-            prior.information, prior.information @ (self.vector(state) - prior.mean)
-        )
+        return self.eliminable(data, state).plus(prior.information, prior.information @ d)
 
     def eliminable(self, data: NormalEquations, state: State, weight: float = 1.0) -> NormalEquations:
         """Such that units can be eliminated; `weight` is of what else is known of them."""
@@ -387,7 +389,8 @@ class Problem:
         """Half the weighted sum of squares."""
         d = self.vector(state) - self.prior.mean
         (pixel, depth), (w_pixel, w_depth) = self.residuals(state), self.weights.scales(self.obs)
-        squares = np.sum((pixel * w_pixel[..., None]) ** 2) + np.sum((depth * w_depth) ** 2)
+        squares = self.weights.squares(Kind.PIXEL, (pixel * w_pixel[..., None]).reshape(len(pixel), -1))
+        squares += self.weights.squares(Kind.DEPTH, depth * w_depth)
         squares += np.sum((self.wall_residuals(state) * self.weights.wall_scales(self.setup.walls)) ** 2)
         squares += np.sum(self.unit_information * self.unit_vector(state) ** 2)
         return 0.5 * float(squares + d @ self.prior.information @ d)

@@ -3,7 +3,8 @@
 Helmert's and Forstner's estimate of a variance from the residuals of its group: sigma^2 = sum r^2 / redundancy, with
 redundancy = residuals - tr(J Cov J'), what the fit absorbed. Groups: the pixels of each camera, off the pose part; the
 depth of each camera, off it; and the kinds of pose part of all views together (their ratio to the rest, at least 1): a
-finder that draws whole boards to one side shifts them, and does not turn them. How the depth's variance falls with the size
+finder that draws whole boards to one side shifts them, and does not turn them. Where parts are weighed by their ratio,
+what the fit absorbs of them is compared with ratio^2. How the depth's variance falls with the size
 of a corner's cell is one exponent for all cameras.
 
 Depth comes in whole units, and neighbouring pixels of a board round alike: averaging a cell's pixels lowers their noise, not
@@ -24,7 +25,6 @@ from rgbd_calib.geometry.linear import Assembly, Covariance, IntArray
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import Kind
 from rgbd_calib.rig.blocks.board_shape import nominal_corners_m
-from rgbd_calib.rig.blocks.depth_error import DepthErrorBlock
 from rgbd_calib.rig.observations import Observations
 from rgbd_calib.rig.pose_rows import N_PARTS, pose_rows
 from rgbd_calib.rig.problem import OF_BOARDS, Problem, State
@@ -54,6 +54,8 @@ MEDIAN_OF_ABSOLUTE = 0.6745
 """Of a normal error, in deviations."""
 DISTANCE_DOF = 1.0
 """Of what was said of the walls' distances, or assumed: known to a factor of two or three."""
+BEND_DOF = 1.0
+"""Of what is usual of the walls' bends."""
 DISTANCE_SIGMAS = 2.0
 """A written distance that is farther off counts less: a dozen of them do not average a slip out."""
 SIZE_STEP = 0.6
@@ -90,7 +92,8 @@ def reweighted(problem: Problem, state: State, covariance: Covariance) -> Weight
         squares, count, in_pose = (np.asarray(np.bincount(obs.camera, x, minlength=n_cameras), float) for x in of_view)
         factor = _by_camera(squares, count - (total[kind] - in_pose))
         factors.append(factor)
-        ratios.append(_ratios(in_squares[part] / factor[obs.camera], dims[part] - absorbed[part], names))
+        before2 = old.parts(kind)[1][:, None] ** 2
+        ratios.append(_ratios(in_squares[part] / factor[obs.camera], dims[part] - absorbed[part] / before2, names))
     new = replace(
         old,
         sigma_2d_px=old.sigma_2d_px * np.sqrt(factors[0]),
@@ -121,24 +124,21 @@ def _sizes(problem: Problem, state: State, covariance: Covariance) -> dict[str, 
 
     theta' R theta / size^2 ~ chi^2 with as many degrees of freedom as the data have added to the prior's, k - tr(C R) / size^2
     (D. MacKay, Neural Computation 4(3), 1992). As a small size draws its parameters to zero, and small parameters their size,
-    both are iterated, on what the data say of a block's parameters with all other unknowns eliminated. What the depth of whole
-    boards scatters by more than their corners do is no error over the image: where boards alone tell, they tell so much less.
+    both are iterated, on what the data say of a block's parameters with all other unknowns eliminated.
     """
-    of_boards = 1.0 if problem.setup.walls.n else float(np.mean(problem.weights.ratio_depth**2))
     theta, sizes = problem.vector(state), dict(problem.weights.sizes)
-    for block, group in problem.component_groups:
+    for group in problem.component_groups:
         at = np.concatenate([index for index, _ in group])
         stops = np.cumsum([0, *(len(index) for index, _ in group)])
         parts = [slice(first, last) for first, last in pairwise(stops)]
         R = [component.structure for _, component in group]
-        scatter = of_boards if isinstance(block, DepthErrorBlock) else 1.0
         size2 = np.array([sizes[component.name] ** 2 for _, component in group])
         C_now, now, before = covariance.of_globals[np.ix_(at, at)], theta[at], _prior(R, size2, parts)
         right = np.column_stack([C_now, now])
         for _ in range(SIZE_ROUNDS):
-            more = np.eye(len(at)) + C_now @ (scatter * _prior(R, size2, parts) - before)
+            more = np.eye(len(at)) + C_now @ (_prior(R, size2, parts) - before)
             solved = np.linalg.solve(more, right)
-            C, own, last = scatter * solved[:, :-1], solved[:, -1], size2.copy()
+            C, own, last = solved[:, :-1], solved[:, -1], size2.copy()
             for k, (part, (_, c)) in enumerate(zip(parts, group, strict=True)):
                 n_told = max(len(R[k]) - float(np.sum(C[part, part] * R[k])) / size2[k], 0.0)
                 squares = c.dof * c.usual**2 + float(own[part] @ R[k] @ own[part])
@@ -160,7 +160,14 @@ def _distance_weights(problem: Problem, state: State, covariance: Covariance) ->
     told = max(float(np.sum(1 - old.robust_distance * left / old.distance_factor**2)), 0.0)
     factor2 = (DISTANCE_DOF + float(np.sum(old.robust_distance * t**2))) / (DISTANCE_DOF + told)
     robust = huber(t[:, None, None] / np.sqrt(factor2), DISTANCE_SIGMAS)[:, 0]
-    return {"distance_factor": float(np.sqrt(factor2)), "robust_distance": robust}
+    bend, own_dof = state.walls.values[:, 3:], BEND_DOF
+    left = np.einsum("wkk->wk", covariance.of_units[-walls.n :, 3:6, 3:6])
+    size2 = old.wall_bend.copy() ** 2
+    for c in np.unique(walls.camera):
+        mine = walls.camera == c
+        told = max(float(np.sum(1 - left[mine] / size2[c])), 0.0)
+        size2[c] = (own_dof * problem.setup.params.wall_bend**2 + float(np.sum(bend[mine] ** 2))) / (own_dof + told)
+    return {"distance_factor": float(np.sqrt(factor2)), "robust_distance": robust, "wall_bend": np.sqrt(size2)}
 
 
 def _prior(R: Sequence[FloatArray], size2: FloatArray, parts: Sequence[slice]) -> FloatArray:

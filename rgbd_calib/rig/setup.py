@@ -63,6 +63,8 @@ class BundleParams:
     """Prior of what all written distances of a camera's walls are off by: one tape, one zero."""
     wall_tilt_sd_rad: float = 0.035
     """Prior of how far a wall is from square to the camera, 2 degrees."""
+    wall_bend: float = 0.0003
+    """Usual bend of a wall, as a share of its distance at the image's unit rays; estimated."""
     k_wall_per_m: float = 0.002
     """First guess of k in sigma_z = k z^2 for a cell of a wall; estimated."""
     corner_offset_m: float = 0.00005

@@ -61,7 +61,7 @@ class Solution:
     state: State
     cost: float
     plain: Covariance
-    """As if all residuals were independent."""
+    """As if pixels erred each by itself, and cells shared nothing."""
     covariance: FloatArray
     """(P, P) of the globals, what views and cells share counted."""
     common: CommonErrors
@@ -112,17 +112,17 @@ class Solution:
         if not self.has_depth[i]:
             return prior
         n = block.n_own(i)
-        at, ripple, tof = self.index("depth bias", camera)[:n], (), False
+        at, ripple = self.index("depth bias", camera)[:n], ()
         if "depth ripple" in self.problem.parts and self.prior_of(camera).time_of_flight:
             at = np.concatenate([at, self.index("depth ripple", camera)])
-            tof = self.prior_of(camera).time_of_flight
             ripple = tuple(self.state.values["depth ripple"][i].tolist())
         low, high = (float(z) for z in block.range_m[i])
         coefficients = tuple(float(c) for c in self.state.values["depth bias"][i, :n])
         first, last = (float(z) for z in block.data_m[i])
         data_m = None if (first, last) == (low, high) else (first, last)
         covariance = self.covariance[np.ix_(at, at)]
-        return DepthBias(coefficients, low, high, self.depth_rms_m(camera), covariance, ripple, tof, data_m)
+        along_ray = block.along_ray(i)
+        return DepthBias(coefficients, low, high, self.depth_rms_m(camera), covariance, ripple, along_ray, data_m)
 
     def depth_field(self, camera: str) -> DepthField | None:
         """What its depth errs by over the image; None where that is held at zero."""

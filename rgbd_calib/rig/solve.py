@@ -13,6 +13,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import Kind, Scope
 from rgbd_calib.rig.pose_rows import pose_rows
 from rgbd_calib.rig.problem import Problem, State
+from rgbd_calib.rig.weights import N_PIXEL
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING, FACTOR = 1e-4, 1e-12, 1e10, 8.0
 
@@ -97,13 +98,12 @@ def _undetermined(problem: Problem, equations: NormalEquations) -> str:
 
 
 def sandwich_covariance(problem: Problem, state: State, plain: Covariance) -> FloatArray:
-    """Covariance (P, P) of the globals where the pose parts are noisier than the rest.
+    """Covariance (P, P) of the globals where pose parts are noisier than they are weighed.
 
-    The estimate solves A step = -g with one weight for both parts, while g has the covariance A + sum_i e_i q_i q_i', e_i the
-    excess of the variance of pose part i and q_i its row: Cov = A^-1 + sum_i e_i (A^-1 q_i)(A^-1 q_i)' (H. White,
-    Econometrica 48(4), 1980).
+    The estimate solves A step = -g, while g has the covariance A + sum_i e_i q_i q_i', e_i the excess of the variance of pose
+    part i of the pixels and q_i its row: Cov = A^-1 + sum_i e_i (A^-1 q_i)(A^-1 q_i)' (H. White, Econometrica 48(4), 1980).
     """
-    carried = pose_rows(problem, state).carried(plain, problem)[0]
-    more = carried * np.sqrt(np.maximum(problem.weights.excess, 0.0))[:, None]
+    carried = pose_rows(problem, state).carried(plain, problem)[0][:, :N_PIXEL]
+    more = carried * np.sqrt(problem.weights.excess_pixel)[:, None]
     flat = more.reshape(-1, more.shape[-1])
     return np.asarray(plain.of_globals + flat.T @ flat)

@@ -2,8 +2,14 @@
 
 Errors inside one view are not independent: a board that moved between two exposures, or a depth sensor's error that is
 smooth over the image, shift all its corners together. So the residuals of a view are split into what a change of the
-board's pose in this view alone would explain (the columns of Q, orthonormal) and the rest. The estimate weighs both
-alike; the covariance takes the first part's own variances, `ratio`^2 times the rest's.
+board's pose in this view alone would explain (the columns of Q, orthonormal) and the rest. The first part has variances of its
+own, `ratio`^2 times the rest's. Depth is weighed by them: the weighted residuals of a view's depth have the weight matrix
+
+    W = I - Q (1 - ratio^-2) Q'
+
+the inverse of their covariance I + Q (ratio^2 - 1) Q' (generalised least squares; A. C. Aitken, Proc. Roy. Soc. Edinb. 55, 1936).
+Pixels are weighed alike, W = I, and the covariance alone has their variances: boards that lie wrong in the pixels have moved, or
+their camera has, and views that were weighed by it would put each other's outliers in.
 """
 
 from __future__ import annotations
@@ -13,8 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rgbd_calib.geometry.linear import IntArray
+from rgbd_calib.geometry.linear import IntArray, Rows
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.rig.blocks.block import Kind
 from rgbd_calib.rig.observations import Observations, Walls
 from rgbd_calib.rig.setup import BundleParams
 
@@ -57,6 +64,8 @@ class Weights:
     """How good the walls' distances are, over what was said of them."""
     robust_distance: FloatArray
     """(W,), 0 ... 1."""
+    wall_bend: FloatArray
+    """(C,), deviation of each of the walls' bends, a share of the distance."""
     sizes: Mapping[str, float]
     """Of the variance components of the unknowns, by name."""
 
@@ -69,15 +78,43 @@ class Weights:
         sigma, k = np.full(n_cameras, params.sigma_2d_px), np.full(n_cameras, params.k_depth_per_m)
         one, ratios = np.ones((V, N)), (np.ones(N_PIXEL), np.ones(N_DEPTH))
         Q = np.zeros((V, 2 * N, N_PIXEL)), np.zeros((V, N, N_DEPTH))
-        k_wall = np.full(n_cameras, params.k_wall_per_m)
+        k_wall, bend = np.full(n_cameras, params.k_wall_per_m), np.full(n_cameras, params.wall_bend)
         return cls(
-            sigma, k, 0.0, *ratios, one, one, *Q, k_wall, np.ones(walls.seen.shape), 1.0, np.ones(walls.n), dict(sizes)
+            sigma,
+            k,
+            0.0,
+            *ratios,
+            one,
+            one,
+            *Q,
+            k_wall,
+            np.ones(walls.seen.shape),
+            1.0,
+            np.ones(walls.n),
+            bend,
+            dict(sizes),
         )
 
+    def parts(self, kind: Kind) -> tuple[FloatArray, FloatArray]:
+        """Q (V, n, d) of the pose parts of pixels, or of depth, and the ratio (d,) that W has."""
+        return (self.Q_pixel, np.ones(N_PIXEL)) if kind is Kind.PIXEL else (self.Q_depth, self.ratio_depth)
+
     @property
-    def excess(self) -> FloatArray:
-        """(9,), by how much the variance of each pose part exceeds that of the rest, pixels first."""
-        return np.asarray(np.concatenate([self.ratio_pixel, self.ratio_depth]) ** 2 - 1)
+    def excess_pixel(self) -> FloatArray:
+        """(6,), by how much the variance of the pixels' pose parts exceeds what they are weighed by."""
+        return np.asarray(self.ratio_pixel**2 - 1)
+
+    def taken_off(self, kind: Kind, views: IntArray, rows: Rows) -> Rows | None:
+        """What the weight matrix W takes off the products of rows of some views; None where it takes nothing."""
+        Q, ratio = self.parts(kind)
+        if not np.any(ratio > 1):
+            return None
+        return rows.parts(Q[views]).times(np.sqrt(1 - ratio**-2))
+
+    def squares(self, kind: Kind, r: FloatArray) -> float:
+        """r' W r of weighted residuals (V, n)."""
+        Q, ratio = self.parts(kind)
+        return float(np.sum(r**2) - np.sum(split(r, Q)[1] ** 2 @ (1 - ratio**-2)))
 
     def depth_sigma_m(self, obs: Observations) -> FloatArray:
         """(V, N), metres, of a corner's depth."""
@@ -99,6 +136,7 @@ class Weights:
         names = "sigma_2d_px", "k_depth", "ratio_pixel", "ratio_depth"
         ratios = [getattr(self, n) / getattr(other, n) for n in (*names, "k_wall")]
         ratios.append(np.array([(self.distance_factor / other.distance_factor) ** SIZES_COUNT]))
+        ratios.append((self.wall_bend / other.wall_bend) ** SIZES_COUNT)
         ratios.append(np.array([1.0, *(size / other.sizes[name] for name, size in self.sizes.items())]) ** SIZES_COUNT)
         return max(float(np.max(np.abs(np.log(ratio)))) for ratio in ratios)
 

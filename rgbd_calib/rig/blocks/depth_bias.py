@@ -2,6 +2,7 @@
 
 An error of a triangulating sensor's disparity d that is a polynomial of the second degree in d ~ 1 / z is exactly c0 + c1 z +
 c2 z^2; so the curve goes on where no board was, with the covariance that it has there. What bends it once more is small.
+Time of flight errs in the distance along the pixel's ray, s z: z_true = z + (c0 + c1 (s z) + ...) / s, and within the data alone.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ BEYOND = 1.3
 """Times the range of the data, on either end, up to which the curve of a triangulating sensor goes on."""
 FURTHER = 25.0
 """Prior of each coefficient from the third on, over that of the one before."""
+FURTHER_OF_TOF = 2.0
+"""The same of time of flight, whose wiggle has waves as long as the range."""
 
 
 class DepthBiasBlock(LinearDepthErrorBlock):
@@ -70,9 +73,33 @@ class DepthBiasBlock(LinearDepthErrorBlock):
     @cached_property
     def range_m(self) -> FloatArray:
         """(C, 2): where each bias is a polynomial."""
-        given = [prior.bias is not None and not prior.bias_is_start for prior in self.setup.priors]
-        fixed = np.array(given) | [prior.time_of_flight for prior in self.setup.priors]
-        return np.where(fixed[:, None], self.data_m, self.data_m * [1 / BEYOND, BEYOND])
+        out = []
+        for i, (prior, (low, high)) in enumerate(zip(self.setup.priors, self.data_m, strict=True)):
+            if prior.bias is not None and not prior.bias_is_start:
+                out.append((low, high))
+            else:
+                out.append((low, high * self._longest(i)) if self.along_ray(i) else (low / BEYOND, high * BEYOND))
+        return np.array(out)
+
+    def along_ray(self, camera: int) -> bool:
+        """Does this camera err in the distance along its pixels' rays?"""
+        prior = self.setup.priors[camera]
+        known = prior.bias is not None and not prior.bias_is_start
+        return prior.bias.along_ray if known and prior.bias is not None else prior.time_of_flight
+
+    def stretch(self, camera: int, pixels_px: FloatArray) -> FloatArray:
+        """(...), length of the pixels' rays (x, y, 1) by the lens at the start; 1 for cameras that err in z."""
+        if not self.along_ray(camera):
+            return np.ones(pixels_px.shape[:-1])
+        rays = self.setup.priors[camera].intrinsics.rays(pixels_px)
+        return np.asarray(np.linalg.norm(np.nan_to_num(rays, nan=1.0), axis=-1))
+
+    def _longest(self, camera: int) -> float:
+        """The longest ray on which the camera has depth."""
+        obs, walls = self.setup.obs, self.setup.walls
+        boards, cells = (obs.camera == camera)[:, None] & obs.has_depth, (walls.camera == camera)[:, None] & walls.seen
+        at = np.concatenate([obs.pixels_px[boards], walls.pixels_px[cells]])
+        return float(self.stretch(camera, at).max(initial=1.0))
 
     def start(self) -> FloatArray:
         out = np.zeros((self.sets, self.n))
@@ -107,19 +134,21 @@ class DepthBiasBlock(LinearDepthErrorBlock):
         return max(given, N_WEAK_BIAS) if prior.bias_is_start else given
 
     def basis(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        low, high = self.range_m[camera]
-        powers = np.asarray(polynomial.polyvander(np.clip(depth_m, low, high), self.n - 1), float)
+        (low, high), s = self.range_m[camera], self.stretch(camera, pixels_px)
+        powers = np.asarray(polynomial.polyvander(np.clip(depth_m * s, low, high), self.n - 1), float)
         slope = np.zeros_like(powers)
         slope[..., 1:] = powers[..., :-1] * np.arange(1, self.n)
-        inside = (depth_m >= low) & (depth_m <= high)
-        return powers, np.where(inside[..., None], slope, 0.0)
+        inside = (depth_m * s >= low) & (depth_m * s <= high)
+        return powers / s[..., None], np.where(inside[..., None], slope, 0.0)
 
 
 def _information(bias: DepthBias | None, n: int, params: BundleParams, time_of_flight: bool) -> FloatArray:
     if bias is not None and bias.covariance is not None:
         return symmetric_inverse(bias.covariance[:n, :n])
     offset, scale, curvature = params.bias_offset_sd_m, params.bias_scale_sd, params.bias_curvature_sd_per_m
+    further = FURTHER
     if time_of_flight:
         offset, scale, curvature = params.tof_offset_sd_m, params.tof_scale_sd, params.tof_curvature_sd_per_m
-    sd = [offset, scale, *(curvature / FURTHER**k for k in range(max(n - 2, 0)))]
+        further = FURTHER_OF_TOF
+    sd = [offset, scale, *(curvature / further**k for k in range(max(n - 2, 0)))]
     return np.diag(1 / np.square(sd[:n]))

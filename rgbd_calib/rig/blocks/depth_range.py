@@ -21,7 +21,8 @@ class DepthRange(LinearDepthErrorBlock):
     held = Fault(
         "depth over the range",
         lambda t: f"{t.camera}'s depth deviates with the distance in a way that its bias does not follow, {t.mm} RMS",
-        "Record walls at more distances, over the whole range; check that the depth is not clipped",
+        "Record walls at more distances, over the whole range; check that the depth is not clipped, and say `kind: "
+        "time_of_flight` in the camera's depth block of dataset.yaml if it is that",
     )
 
     @property

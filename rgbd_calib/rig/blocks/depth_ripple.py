@@ -43,9 +43,8 @@ class DepthRipple(LinearDepthErrorBlock):
         return tuple(f"depth ripple {k}" for k in range(RIPPLE_FROM, DEGREE + 1))
 
     @cached_property
-    def range_m(self) -> FloatArray:
-        """(C, 2)."""
-        return DepthBiasBlock(self.setup).range_m
+    def _bias(self) -> DepthBiasBlock:
+        return DepthBiasBlock(self.setup)
 
     def start(self) -> FloatArray:
         out = np.zeros((self.sets, self.n))
@@ -66,16 +65,10 @@ class DepthRipple(LinearDepthErrorBlock):
         return BlockPrior(self.start().ravel(), nothing, free.ravel(), np.zeros(self.size, bool), tuple(components))
 
     def basis(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        low, high = self.range_m[camera]
-        s = self._stretch(camera, pixels_px)
+        (low, high), s = self._bias.range_m[camera], self._bias.stretch(camera, pixels_px)
         t = np.clip(2 * (depth_m * s - low) / (high - low) - 1, -1, 1)
         inside = np.abs(t) < 1
         by_t = legendre.legder(np.eye(DEGREE + 1)[:, RIPPLE_FROM:])  # (DEGREE, n): derivatives of the shapes as series
         P = legendre.legvander(t, DEGREE)
         slopes = P[..., :DEGREE] @ by_t * ((2 / (high - low)) * inside)[..., None]
         return P[..., RIPPLE_FROM:] / s[..., None], slopes
-
-    def _stretch(self, camera: int, pixels_px: FloatArray) -> FloatArray:
-        """(...), length of the pixels' rays (x, y, 1) by the lens at the start."""
-        rays = self.setup.priors[camera].intrinsics.rays(pixels_px)
-        return np.linalg.norm(np.nan_to_num(rays, nan=1.0), axis=-1)

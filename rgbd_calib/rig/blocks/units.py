@@ -56,24 +56,36 @@ class Boards:
         return out
 
 
+N_OF_WALL = 6
+"""Unknowns of a wall."""
+
+
 @dataclass(frozen=True)
 class WallPlanes:
-    """Where the walls of the bias recording stand; W walls."""
+    """Where the walls of the bias recording stand, and how they are bent; W walls."""
 
     values: FloatArray
-    """(W, 3): what the written distance is off by, metres, and by how much the tilts a, b of the plane z = D / (1 - a x - b y)
-    differ from what is thought."""
+    """(W, 6): what the written distance D is off by, metres; by how much the tilts a, b of the plane z = D / (1 - a x - b y)
+    differ from what is thought; and its bend p, q, r, z += D (p x^2 + q x y + r y^2). Walls are not flat, and single depth
+    images of them err smoothly by more than the sensor's field, as stray light makes them."""
+
+    @classmethod
+    def none(cls, n: int) -> WallPlanes:
+        """n walls that are as they are thought to be."""
+        return cls(np.zeros((n, N_OF_WALL)))
 
     def moved(self, step: FloatArray) -> WallPlanes:
-        """After a step (W, D), of which the first three are the wall's."""
-        return WallPlanes(self.values + step[:, :3])
+        """After a step (W, D), of which the first six are the wall's."""
+        return WallPlanes(self.values + step[:, :N_OF_WALL])
 
     def ahead(
         self, walls: IntArray, distance_m: FloatArray, tilts: FloatArray, rays: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Depth (n, N), metres, at rays (n, N, 2), and its derivative (n, N, 3) by the wall's unknowns."""
-        distance = distance_m + self.values[walls, 0]
-        by_distance = 1 / (1 - np.einsum("nik,nk->ni", rays, tilts + self.values[walls, 1:]))
+        """Depth (n, N), metres, at rays (n, N, 2), and its derivative (n, N, 6) by the wall's unknowns."""
+        distance, (x, y) = distance_m + self.values[walls, 0], np.moveaxis(rays, -1, 0)
+        by_distance = 1 / (1 - np.einsum("nik,nk->ni", rays, tilts + self.values[walls, 1:3]))
         z = distance[:, None] * by_distance
         by_tilts = z[..., None] * by_distance[..., None] * rays
-        return z, np.concatenate([by_distance[..., None], by_tilts], axis=-1)
+        by_bend = distance_m[:, None, None] * np.stack([x**2, x * y, y**2], axis=-1)
+        bent = z + np.einsum("nik,nk->ni", by_bend, self.values[walls, 3:])
+        return bent, np.concatenate([by_distance[..., None], by_tilts, by_bend], axis=-1)

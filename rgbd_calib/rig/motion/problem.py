@@ -17,7 +17,7 @@ from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.banded import BandedEquations
 from rgbd_calib.geometry.linear import Covariance, IntArray, NormalEquations, Pattern
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.rig.blocks import Kind, Scope, WallPlanes
+from rgbd_calib.rig.blocks import Kind, Scope
 from rgbd_calib.rig.motion.boards import CarriedBoards
 from rgbd_calib.rig.motion.setup import MotionSetup
 from rgbd_calib.rig.motion.sight import MovingSight, look_at_delayed_depth
@@ -73,7 +73,7 @@ class MotionProblem(Problem):
         values = {b.name: b.moved(state.values[b.name], step[self.parts[b.name]]) for b in self.blocks}
         times = self.own.times_s(values["clock"], values["depth delay"])
         boards = _carried(state).after(unit_step[: self.n_board_units], *times)
-        return State(values, boards, WallPlanes(state.walls.values + unit_step[self.n_board_units :, :3]))
+        return State(values, boards, state.walls.moved(unit_step[self.n_board_units :]))
 
     # ------------------------------------------------------------------------------------------------ prediction
 

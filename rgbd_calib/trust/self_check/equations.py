@@ -8,9 +8,9 @@ the normal equations, priors included, and M = I - J C J', the residuals of the 
     estimate     a = -I^-1 s                       Var(s) = I + sum_v (Q_v' M A)' diag(excess) (Q_v' M A)
     statistic    T = s' Var(s)^-1 s ~ chi2(q)      where the model is right                                  (Rao's score test)
 
-`excess` is by how much the variance of a view's pose part exceeds that of its other residuals: errors of one view are
-not independent (the sandwich of the bundle's own covariance). a is exactly what a new linear solution with A added would
-give. Errors E that are taken into the model change M to M - M E (E' M E)^-1 E' M. Only products of each view's rows are kept,
+Where errors of one view are not independent, rows are those of generalised least squares, W^(1/2) times r, J and A
+(:mod:`rgbd_calib.rig.weights`), and `excess` is by how much the variance of a view's pose part exceeds what it is weighed by.
+a is exactly what a new linear solution with A added would give. Errors E that are taken into the model change M to M - M E (E' M E)^-1 E' M. Only products of each view's rows are kept,
 so that the size of a test does not depend on the number of corners.
 
 References
@@ -130,8 +130,10 @@ class Equations:
     """(V,), of the board from its camera."""
     groups: IntArray
     """(parts,), which pose parts have one variance."""
+    ratio: FloatArray
+    """(parts,), deviation by which they are weighed, over that of single residuals."""
     excess: FloatArray
-    """(parts,), by how much that exceeds 1; see :meth:`weighed`."""
+    """(parts,), by how much their variance exceeds what they are weighed by, in units of that; see :meth:`weighed`."""
     part: Callable[[IntArray], NormalEquations]
     """Normal equations of the rows of some views alone."""
     part_in_metres: Callable[[IntArray], NormalEquations]
@@ -141,6 +143,11 @@ class Equations:
     variance 1; see :mod:`rgbd_calib.rig.common_errors`."""
     taken: tuple[Projected, ...] = ()
     """Errors that are in the model now."""
+
+    @property
+    def least_excess(self) -> FloatArray:
+        """(parts,), where the pose parts vary as single residuals do."""
+        return np.asarray(self.ratio**-2.0 - 1)
 
     @property
     def base(self) -> NormalEquations:
@@ -265,7 +272,7 @@ class Score:
 
     statistic: float
     plain: float
-    """The statistic without the excess of the pose parts."""
+    """The statistic if pose parts varied as single residuals do."""
     dof: int
     p: float
     estimate: FloatArray
@@ -295,18 +302,19 @@ def pose_residuals(eq: Equations) -> tuple[FloatArray, FloatArray]:
 
 
 def pose_excess(eq: Equations) -> FloatArray:
-    """By how much the variance of the views' pose parts exceeds 1, (parts,), from those parts of the residuals.
+    """By how much the variance of the views' pose parts exceeds 1, (parts,), from those parts of the weighed residuals.
 
     One variance for each of the groups: a board that is offset as a whole is another matter than one that is tilted.
-    With m = q' M q, E (q' r)^2 = m + excess m^2 but for what parts share, so that the moments give it.
+    With m = q' M q, E (q' r)^2 = m + excess m^2 but for what parts share, so that the moments give it. Once an error is in the
+    model, less may be left than they are weighed by: the excess is negative, down to the variance of single residuals.
     """
     squares, m = pose_residuals(eq)
     out = np.zeros(len(eq.groups))
     for g in np.unique(eq.groups):
         mine = eq.groups == g
         weight = float(np.sum(m[:, mine] ** 2))
-        out[mine] = max(0.0, float(squares[:, mine].sum() - m[:, mine].sum()) / weight) if weight > 1 else 0.0
-    return out
+        out[mine] = float(squares[:, mine].sum() - m[:, mine].sum()) / weight if weight > 1 else 0.0
+    return np.asarray(np.maximum(out, eq.least_excess))
 
 
 def score_test(
@@ -322,30 +330,33 @@ def score_test(
     least_seen : share of A that M must leave.
     """
     found = eq.within(eq.project(columns, where))
-    variance = found.information + np.einsum("d,vdp,vdq->pq", eq.excess, found.low, found.low, optimize=True)
+    of_parts = np.einsum("vdp,vdq->dpq", found.low, found.low, optimize=True)
+    variance, least = (found.information + np.tensordot(e, of_parts, 1) for e in (eq.excess, eq.least_excess))
     if effect is None:
         size = eq.rows.size[where][:, columns[:, None], columns].sum(axis=0)
         effect = size / max(int(eq.corners[where].sum()), 1)
     scale = np.sqrt(np.maximum(np.diag(found.own), 1e-300))
-    return judge(found.score, found.information, variance, scale, effect, least_seen)
+    return judge(found.score, found.information, variance, least, scale, effect, least_seen)
 
 
 def judge(
     score: FloatArray,
     information: FloatArray,
     variance: FloatArray,
+    least: FloatArray,
     scale: FloatArray,
     effect: FloatArray,
     least_seen: float,
 ) -> Score:
-    """Statistic, estimate and clear effect of a score (q,), directions that the model has already left out."""
+    """Statistic, estimate and clear effect of a score (q,), directions that the model has already left out; its variance is
+    `least` if pose parts vary as single residuals do."""
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     kept = values > least_seen
     if not kept.any():
         return Score(0.0, 0.0, 0, 1.0, np.zeros(len(score)), np.zeros((len(score),) * 2), 0.0)
     U = vectors[:, kept]
-    s, var = U.T @ (score / scale), U.T @ (variance / np.outer(scale, scale)) @ U
-    statistic, plain = float(s @ np.linalg.solve(var, s)), float(s @ (s / values[kept]))
+    s, (var, least) = U.T @ (score / scale), (U.T @ (v / np.outer(scale, scale)) @ U for v in (variance, least))
+    statistic, plain = float(s @ np.linalg.solve(var, s)), float(s @ np.linalg.solve(least, s))
     B = U / values[kept] / scale[:, None]  # estimate = -B s
     estimate, covariance = -B @ s, B @ var @ B.T
     dof = int(kept.sum())

@@ -69,7 +69,9 @@ class Hypothesis:
         if not score.dof:
             return score
         total = float(np.trace(score.covariance))
-        without = [self.test(replace(eq, excess=np.where(kind == k, 0.0, excess))) for k in range(len(eq.dof))]
+        without = [
+            self.test(replace(eq, excess=np.where(kind == k, eq.least_excess, excess))) for k in range(len(eq.dof))
+        ]
         shares = np.array([1 - float(np.trace(own.covariance)) / total for own in without])
         dof = 1 / max(float(np.sum(shares**2 / eq.dof)), 1e-6)
         return replace(score, p=float(f.sf(score.statistic / score.dof, score.dof, dof)))
@@ -92,9 +94,9 @@ def prior_test(eq: Equations, own: IntArray, columns: IntArray, where: BoolArray
         return Score(0.0, 0.0, 0, 1.0, np.zeros(0), nothing, 0.0)
     at = np.ix_(own, own)
     L_inv = symmetric_inverse(eq.prior[at])
-    step, plain, sandwich = _of(eq, own)
+    step, plain, sandwich, least = _of(eq, own)
     d = L_inv @ eq.prior_gradient[own] + step
-    variance = sandwich + L_inv - 2 * plain
+    variance, least = (v + L_inv - 2 * plain for v in (sandwich, least))
     unit = 1 / np.sqrt(np.diag(L_inv))
     values, vectors = np.linalg.eigh(variance * np.outer(unit, unit))
     kept = values > OWN_SHARE
@@ -103,15 +105,16 @@ def prior_test(eq: Equations, own: IntArray, columns: IntArray, where: BoolArray
     U = vectors[:, kept]
     y, dof = U.T @ (unit * d), int(kept.sum())
     statistic = float(np.sum(y**2 / values[kept]))
-    alone = U.T @ ((L_inv - plain) * np.outer(unit, unit)) @ U
+    alone = U.T @ (least * np.outer(unit, unit)) @ U
     unscattered = float(y @ np.linalg.lstsq(alone, y, rcond=1e-6)[0])
     size = eq.rows.size[where][:, columns[:, None], columns].sum(axis=0) / max(int(eq.corners[where].sum()), 1)
     effect_m = clear_effect(y, np.diag(values[kept]), U / unit[:, None], size)
     return Score(statistic, unscattered, dof, float(chi2.sf(statistic, dof)), d, variance, effect_m)
 
 
-def _of(eq: Equations, own: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of some globals, with what was taken into the model: the step left, the covariance, and that with the excess."""
+def _of(eq: Equations, own: IntArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Of some globals, with what was taken into the model: the step left, and the covariance, by what views are weighed by,
+    with the excess, and if pose parts varied as single residuals do."""
     rows, C = eq.rows, eq.plain.of_globals[own]
     step, plain = eq.step[0][own], C[:, own]
     low = rows.low_globals @ C.T  # Q' J C, (V, parts, k)
@@ -125,5 +128,6 @@ def _of(eq: Equations, own: IntArray) -> tuple[FloatArray, FloatArray, FloatArra
         step = step + X @ (inverse @ score)
         plain = plain + X @ inverse @ X.T
         low = low - (of_taken @ inverse @ X.T)
-    sandwich = plain + np.einsum("d,vdp,vdq->pq", eq.excess, low, low, optimize=True)
-    return step, plain, sandwich
+    of_parts = np.einsum("vdp,vdq->dpq", low, low, optimize=True)
+    sandwich, least = (plain + np.tensordot(e, of_parts, 1) for e in (eq.excess, eq.least_excess))
+    return step, plain, sandwich, least

@@ -13,7 +13,7 @@ from rgbd_calib.rig.blocks.board_scale import BoardScale
 from rgbd_calib.rig.common_errors import common_gradients
 from rgbd_calib.rig.motion.problem import MotionProblem
 from rgbd_calib.rig.motion.scale import CarriedScale
-from rgbd_calib.rig.pose_rows import N_PARTS, part_of, through
+from rgbd_calib.rig.pose_rows import N_PARTS, dense, part_of
 from rgbd_calib.rig.problem import OF_BOARDS, Problem, State
 from rgbd_calib.rig.solution import Solution
 from rgbd_calib.rig.weights import DEPTH_PARTS, N_DEPTH, N_PIXEL, PIXEL_PARTS
@@ -84,6 +84,7 @@ def equations_of(solution: Solution, held: Sequence[Block], frames: Sequence[str
         _used(problem)[views].sum(axis=1),
         distance[views],
         GROUPS,
+        np.concatenate([problem.weights.parts(kind)[1] for kind in OF_BOARDS]),
         np.zeros(len(GROUPS)),
         part,
         part_in_metres,
@@ -147,19 +148,23 @@ def _view_rows(
         in_metres = (A * metres[of_kind][some][..., None, None]).reshape(n, -1, H)
         size[own] += in_metres.transpose(0, 2, 1) @ in_metres
         A = (A * scales[of_kind][some][..., None, None]).reshape(n, -1, H)
-        J, J_unit, r = rows.flat()
-        gram[own] += A.transpose(0, 2, 1) @ A
-        score[own] += (r[:, None] @ A)[:, 0]
-        by_unit[own, of_kind] += A.transpose(0, 2, 1) @ J_unit
-        Q, at = part_of(problem, kind)
-        Q = Q[some].transpose(0, 2, 1)
-        low[own, at] = Q @ A
-        low_globals[own, at], low_unit[own, at], low_residual[own, at] = through(rows, Q, P)
-        dense = A.transpose(0, 2, 1) @ J
+        Q, ratio = problem.weights.parts(kind)
+        parts, A_parts, at = rows.parts(Q[some]), Q[some].transpose(0, 2, 1) @ A, part_of(kind)
+        J, J_unit, r = (np.concatenate(both, axis=1) for both in zip(rows.flat(), parts.flat(), strict=True))
+        off = A_parts * (ratio**-2 - 1)[:, None]
+        WA = np.concatenate([A, off], axis=1).transpose(0, 2, 1)  # times rows and their pose parts: A' W
+        gram[own] += WA @ np.concatenate([A, A_parts], axis=1)
+        score[own] += (WA @ r[..., None])[..., 0]
+        by_unit[own, of_kind] += WA @ J_unit
+        low[own, at] = A_parts / ratio[:, None]
+        own_parts = dense(parts.times(1 / ratio), P)
+        low_globals[own, at], low_unit[own, at], low_residual[own, at] = own_parts
+        by_dense = WA @ J
         N, per, s = rows.J_point.shape[1:]
         points = np.einsum("nirh,nirs->nhis", A.reshape(n, N, per, H), rows.J_point).reshape(n, H, N * s)
+        points += off.transpose(0, 2, 1) @ parts.J_point[:, 0]
         for k, v in enumerate(own):
-            by_globals[v] = np.concatenate([by_globals[v].reshape(H, -1), dense[k], points[k]], axis=1)
+            by_globals[v] = np.concatenate([by_globals[v].reshape(H, -1), by_dense[k], points[k]], axis=1)
             index[v] = np.concatenate([index[v], rows.columns, rows.point_columns[k].ravel()])
     return ViewRows(
         units,
