@@ -3,7 +3,8 @@
 The pixels alone leave the focal lengths a little free, and with them the distances: that error dominates a real rig.
 Measured depth pins them. :mod:`.blocks` has the unknowns, :mod:`.terms` what is predicted, :mod:`.problem` puts them
 together, :mod:`.solve` minimises, :mod:`.reweight` estimates the weights, :mod:`.outliers` says what is dropped; here are the
-rounds of all this: solve, weigh, drop, until nothing changes.
+rounds of all this: solve, weigh, drop, until nothing changes; then once more with the depth of whole boards weighed by its own
+variance, which outliers would have swollen.
 """
 
 from __future__ import annotations
@@ -91,7 +92,8 @@ def solved(problem: Problem, state: State, frames: tuple[str, ...], views: Seque
     iterations, settled, taken_back = 0, False, False
     keys = [(placed.view.camera, placed.view.frame) for placed in views]
     n_readings = MAX_READINGS if faces.ambiguous(board) and problem.reads_faces else 0
-    for k in range(n_readings + params.max_rounds):
+    last_alike = n_readings + params.max_rounds
+    for k in range(last_alike + params.max_rounds):
         problem, state, moved, done = _round(problem, state, len(dropped))
         iterations, history = iterations + done[0], [*history, done[1]]
         if k < n_readings:
@@ -119,8 +121,10 @@ def solved(problem: Problem, state: State, frames: tuple[str, ...], views: Seque
                 problem = problem.using(obs)
                 dropped = {key: why for key, why in dropped.items() if key not in {keys[v] for v in back}}
                 continue
-            settled = True
-            break
+            if settled := problem.weights.weighs_depth:
+                break
+        if moved < params.weight_tolerance or k == last_alike:
+            problem = replace(problem, weights=replace(problem.weights, weighs_depth=True))
     course = Course(
         tuple(views), frames, dropped, dropped_corners, tuple(history), iterations, settled, _message(settled, params)
     )

@@ -241,7 +241,7 @@ class Problem:
     def look_at_depth(self, state: State, sight: Sight) -> Look:
         """Rows of the depth of some views."""
         obs, c = sight.obs, sight.camera
-        corrected, slope = self.corrected(state, c, obs.pixels_px, obs.depth_m)
+        corrected, slope = self.corrected(state, c, obs.pixels_px, obs.depth_m, Kind.DEPTH)
         if self.setup.priors[c].mount is not None:
             lens = self.setup.priors[c].intrinsics
             look = terms.look_at_plane(sight, lens, state.intrinsics[c], corrected, slope)
@@ -262,20 +262,20 @@ class Problem:
             at, z, rays = walls.pixels_px[mine], walls.depth_m[mine], self.wall_rays[mine]
             distance_m = walls.written_m[mine] + tape
             ahead, by_wall = state.walls.ahead(mine, distance_m, walls.tilts[mine], np.nan_to_num(rays))
-            corrected, slope = self.corrected(state, c, at, z)
+            corrected, slope = self.corrected(state, c, at, z, Kind.WALL)
             seen = walls.seen[mine] & np.isfinite(rays[..., 0])
             look = terms.look_at_walls(c, at, z, ahead, by_wall[..., 0], slope, corrected, seen)
             yield mine, replace(look, values=self._of_depth(state, c)), (by_wall / slope[..., None])[:, :, None]
 
     def corrected(
-        self, state: State, camera: int, pixels_px: FloatArray, depth_m: FloatArray
+        self, state: State, camera: int, pixels_px: FloatArray, depth_m: FloatArray, kind: Kind
     ) -> tuple[FloatArray, FloatArray]:
-        """Depth (n, N), metres, as the state corrects it, and its slope by the reported depth."""
+        """Depth (n, N), metres, of boards or walls, as the state corrects it, and its slope by the reported depth."""
         corrected, slope = depth_m.copy(), np.ones(depth_m.shape)
         if self.local and (local := self.local[camera]) is not None:
             corrected += local.error_m(pixels_px, depth_m, self.setup.sizes_px[camera])
         for block in self.blocks:
-            if isinstance(block, DepthErrorBlock):
+            if isinstance(block, DepthErrorBlock) and kind in block.kinds:
                 error, by_depth = block.error(camera, state.values[block.name][camera], pixels_px, depth_m)
                 corrected += error
                 slope += by_depth

@@ -58,7 +58,8 @@ class BundleParams:
     tof_offset_sd_m: float = 0.025
     """The same as bias_offset_sd_m for time of flight, which errs by centimetres, and by more near the camera."""
     tof_scale_sd: float = 0.020
-    tof_curvature_sd_per_m: float = 0.020
+    tof_wiggle_sd_m: float = 0.015
+    """Waves of time of flight as long as the range, each of Legendre's polynomials from the second degree on."""
     tape_sd_m: float = 0.002
     """Prior of what all written distances of a camera's walls are off by: one tape, one zero."""
     wall_tilt_sd_rad: float = 0.035

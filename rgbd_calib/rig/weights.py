@@ -9,7 +9,7 @@ own, `ratio`^2 times the rest's. Depth is weighed by them: the weighted residual
 
 the inverse of their covariance I + Q (ratio^2 - 1) Q' (generalised least squares; A. C. Aitken, Proc. Roy. Soc. Edinb. 55, 1936).
 Pixels are weighed alike, W = I, and the covariance alone has their variances: boards that lie wrong in the pixels have moved, or
-their camera has, and views that were weighed by it would put each other's outliers in.
+their camera has, and that is found or not.
 """
 
 from __future__ import annotations
@@ -48,6 +48,8 @@ class Weights:
     """(6,), in the order of the columns of Q; equal within PIXEL_PARTS."""
     ratio_depth: FloatArray
     """(3,), equal within DEPTH_PARTS."""
+    weighs_depth: bool
+    """Depth is weighed by its ratio. Not before the outliers are found: their boards would put each other in."""
     robust_pixel: FloatArray
     """(V, N), 0 ... 1."""
     robust_depth: FloatArray
@@ -84,6 +86,7 @@ class Weights:
             k,
             0.0,
             *ratios,
+            False,
             one,
             one,
             *Q,
@@ -97,7 +100,9 @@ class Weights:
 
     def parts(self, kind: Kind) -> tuple[FloatArray, FloatArray]:
         """Q (V, n, d) of the pose parts of pixels, or of depth, and the ratio (d,) that W has."""
-        return (self.Q_pixel, np.ones(N_PIXEL)) if kind is Kind.PIXEL else (self.Q_depth, self.ratio_depth)
+        if kind is Kind.PIXEL:
+            return self.Q_pixel, np.ones(N_PIXEL)
+        return self.Q_depth, self.ratio_depth if self.weighs_depth else np.ones(N_DEPTH)
 
     @property
     def excess_pixel(self) -> FloatArray:

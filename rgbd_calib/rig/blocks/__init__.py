@@ -18,6 +18,7 @@ from rgbd_calib.rig.blocks.camera_poses import CameraPoses
 from rgbd_calib.rig.blocks.depth_bias import DepthBiasBlock
 from rgbd_calib.rig.blocks.depth_error import DepthErrorBlock
 from rgbd_calib.rig.blocks.depth_field import DepthField
+from rgbd_calib.rig.blocks.depth_of_board import DepthOfBoard
 from rgbd_calib.rig.blocks.depth_range import DepthRange
 from rgbd_calib.rig.blocks.depth_ripple import DepthRipple
 from rgbd_calib.rig.blocks.depth_tilt import DepthTilt
@@ -31,6 +32,7 @@ ESTIMATED: tuple[type[Block], ...] = (
     CameraPoses,
     IntrinsicsBlock,
     DepthBiasBlock,
+    DepthOfBoard,
     DepthRipple,
     DepthField,
     DepthTilt,

@@ -10,7 +10,7 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numpy.polynomial import polynomial
+from numpy.polynomial import Polynomial, legendre, polynomial
 
 from rgbd_calib.geometry.linear import symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
@@ -23,8 +23,6 @@ BEYOND = 1.3
 """Times the range of the data, on either end, up to which the curve of a triangulating sensor goes on."""
 FURTHER = 25.0
 """Prior of each coefficient from the third on, over that of the one before."""
-FURTHER_OF_TOF = 2.0
-"""The same of time of flight, whose wiggle has waves as long as the range."""
 
 
 class DepthBiasBlock(LinearDepthErrorBlock):
@@ -122,7 +120,10 @@ class DepthBiasBlock(LinearDepthErrorBlock):
             if known is not None:
                 mean[i, :n_own] = known.coefficients
             at = slice(i * n, i * n + n_own)
-            information[at, at] = _information(known, n_own, self.setup.params, prior.time_of_flight)
+            if prior.time_of_flight and (known is None or known.covariance is None):
+                information[at, at] = _information_of_tof(self.range_m[i], n_own, self.setup.params)
+            else:
+                information[at, at] = _information(known, n_own, self.setup.params)
         return BlockPrior(mean.ravel(), information, free.ravel(), assumed.ravel())
 
     def n_own(self, camera: int) -> int:
@@ -142,13 +143,21 @@ class DepthBiasBlock(LinearDepthErrorBlock):
         return powers / s[..., None], np.where(inside[..., None], slope, 0.0)
 
 
-def _information(bias: DepthBias | None, n: int, params: BundleParams, time_of_flight: bool) -> FloatArray:
+def _information(bias: DepthBias | None, n: int, params: BundleParams) -> FloatArray:
     if bias is not None and bias.covariance is not None:
         return symmetric_inverse(bias.covariance[:n, :n])
     offset, scale, curvature = params.bias_offset_sd_m, params.bias_scale_sd, params.bias_curvature_sd_per_m
-    further = FURTHER
-    if time_of_flight:
-        offset, scale, curvature = params.tof_offset_sd_m, params.tof_scale_sd, params.tof_curvature_sd_per_m
-        further = FURTHER_OF_TOF
-    sd = [offset, scale, *(curvature / further**k for k in range(max(n - 2, 0)))]
+    sd = [offset, scale, *(curvature / FURTHER**k for k in range(max(n - 2, 0)))]
     return np.diag(1 / np.square(sd[:n]))
+
+
+def _information_of_tof(range_m: FloatArray, n: int, params: BundleParams) -> FloatArray:
+    """Of c0, c1, ... (n, n): Legendre's polynomials over the range have deviations of their own, the offset in the middle, the
+    scale, and the wiggle from the second degree on. Waves as long as the range have any slope at z = 0."""
+    middle, half = range_m.mean(), np.diff(range_m)[0] / 2
+    sd = np.array([params.tof_offset_sd_m, params.tof_scale_sd * half, *[params.tof_wiggle_sd_m] * (n - 2)])[:n]
+    powers = [Polynomial([middle, half]) ** k for k in range(n)]  # z^k in t
+    to_legendre = np.zeros((n, n))
+    for k, power in enumerate(powers):
+        to_legendre[: k + 1, k] = legendre.poly2leg(power.coef)
+    return np.asarray(to_legendre.T @ np.diag(sd**-2.0) @ to_legendre)
