@@ -21,7 +21,7 @@ ROOMS: dict[str, tuple[int, int, str, str]] = {
     "report": (800, 20, "figures, page", FILL),
     "pipeline": (410, 215, "the order of the steps", "#ffe0b2"),
     "cli": (215, 215, "commands", "#ffe0b2"),
-    "geometry, types": (605, 215, "arrays in, arrays out", FILL),
+    "geometry, patterns": (605, 215, "arrays in, arrays out", FILL),
 }
 FLOWS = (
     ("sensors", "capture", "frames"),

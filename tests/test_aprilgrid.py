@@ -15,8 +15,7 @@ from rgbd_calib.io.board_files import read_board
 from rgbd_calib.io.dataset import CameraInfo, write_dataset
 from rgbd_calib.io.recording import save_color, save_depth
 from rgbd_calib.io.rig import read_rig
-from rgbd_calib.report import aprilgrid as printing
-from rgbd_calib.report import board_sheet
+from rgbd_calib.patterns import aprilgrid as printing
 from rgbd_calib.types import APRILGRID_TAGS, Board
 from rgbd_calib.views.detect import corner_depth, find_corners
 from rgbd_calib.views.detect.aprilgrid import find_aprilgrid
@@ -54,7 +53,7 @@ def test_tags_with_a_border_of_one_cell_and_turned(monkeypatch):
             yield corner_m, np.rot90(cells)
 
     monkeypatch.setattr(printing, "BORDER", 1)
-    monkeypatch.setattr(board_sheet, "tags", turned)
+    monkeypatch.setattr(printing, "tags", turned)
     rng = np.random.default_rng(2)
     T = pose(rng, GRID, 0.2)
     ids, corners_px = find_corners(photograph(GRID, T, rng), GRID)
@@ -175,7 +174,7 @@ def test_boards_of_files(run, tmp_path):
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (("--cols", "9", "--rows", "6"), "even numbers needed, such as 10 and 6"),
+        (("--cols", "9", "--rows", "6"), "Take even numbers, such as 10 x 6"),
         (("--cols", "60", "--rows", "60"), "has 587 tags, 900 are needed"),
         (("--cols", "8", "--rows", "6", "--marker", "0.09"), "a tag's side between 0.04 and 0.08 m"),
         (("--cols", "8", "--rows", "6", "--dictionary", "DICT_5X5_50"), "one of DICT_APRILTAG_16H5"),

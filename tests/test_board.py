@@ -12,7 +12,8 @@ from PIL import Image
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.drawings import Line, Text, write_pdf, write_svg
 from rgbd_calib.io.schema_parts import BoardModel
-from rgbd_calib.report import board_sheet, board_tiles, charuco
+from rgbd_calib.patterns import charuco
+from rgbd_calib.report import board_sheet, board_tiles
 from rgbd_calib.types import APRILGRID_TAGS, Board, BoardShape
 from rgbd_calib.views.detect import find_corners
 

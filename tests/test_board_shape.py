@@ -17,6 +17,7 @@ from rgbd_calib.io.board_files import read_board
 from rgbd_calib.io.dataset import CameraInfo, write_dataset
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import board_data, board_in, read_rig, write_rig
+from rgbd_calib.patterns import of_type
 from rgbd_calib.pipeline.properties import properties_of
 from rgbd_calib.pipeline.rig_inputs import board_for
 from rgbd_calib.rig.bundle import bundle
@@ -147,3 +148,28 @@ def test_what_is_held_at_zero_on_request_is_looked_for():
         told[bool(hold)] = [f.text for f in check.findings]
     assert told[False] == []
     assert "The printed squares are not square: 0.6" in told[True][0]
+
+
+@pytest.mark.parametrize("kind", ["checkerboard", "aprilgrid"])
+def test_a_bow_is_found_where_frames_show_either_face_and_nothing_tells_which(kind):
+    rng = np.random.default_rng(5)
+    nominal = of_type(Board(8, 6, 0.06, two_sided=True, thickness_m=0.006), kind)
+    front = misprinted(nominal, rng).corners_m()
+    true = replace(nominal, shape=BoardShape(front, front + [0, 0, nominal.thickness_m]))
+    rig = sv.arc(2, biased=True)
+    views = draw(rig, true, 24, rng)
+    other = nominal.T_face_board(back=True, turned=False)
+    boards = {v.view.frame: rig.cameras[v.view.camera].T_world_color @ v.T_color_board for v in views}
+    turned = {frame: T @ other if k % 2 else T for k, (frame, T) in enumerate(boards.items())}
+    seen = true_views(rig, turned, true, NOISE, rng)
+    as_front = sv.placed_truly(rig, boards, seen, nominal)  # cameras that see one face agree, whichever it is
+    assert not any(p.back for p in as_front)
+    T = {name: own.T_world_color for name, own in rig.cameras.items()}
+    found = bundle(as_front, nominal, priors_of(rig, rng), T, "C1").board_shape.front_m
+    behind = true.shape.back_m.reshape(6, 8, 3)[:, ::-1].reshape(-1, 3) * [
+        -1,
+        1,
+        -1,
+    ]  # the front may have been called back
+    off = min(np.std((se3.transform(align.rigid(meant, found), found) - meant)[:, 2]) for meant in (front, behind))
+    assert off < 0.1 * np.std(front[:, 2])

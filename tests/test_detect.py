@@ -8,6 +8,7 @@ import pytest
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.recording import open_recording
+from rgbd_calib.patterns.charuco import layout
 from rgbd_calib.types import Board
 from rgbd_calib.views.detect import (
     DetectParams,
@@ -19,7 +20,6 @@ from rgbd_calib.views.detect import (
     orient,
     refine,
 )
-from rgbd_calib.views.detect.charuco import _layout
 from rgbd_calib.views.detect.saddles import find_saddles
 from rgbd_calib.views.detect.subpixel import _crossing
 
@@ -77,7 +77,7 @@ def draw(board, H, rng, rise=None):
 
 def draw_charuco(board, H, rng):
     side = 40
-    print_px = _layout(board, board.legacy).generateImage(((board.cols + 1) * side, (board.rows + 1) * side))
+    print_px = layout(board).generateImage(((board.cols + 1) * side, (board.rows + 1) * side))
     c, r = on_board(H)
     x, y = np.floor((c + 1) * side).astype(int), np.floor((r + 1) * side).astype(int)
     inside = (x >= 0) & (y >= 0) & (x < print_px.shape[1]) & (y < print_px.shape[0])

@@ -2,33 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from rgbd_calib.cli.options import Number, output_option, overwrite_option, refuse_existing, say, show
+from rgbd_calib.cli.options import Number, output_option, overwrite_option, pattern_options, refuse_existing, say, show
 from rgbd_calib.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rgbd_calib.types import BoardType
 
 
 @click.command
 @click.option("--cols", type=click.IntRange(2, 200), default=9, show_default=True, help="Inner corners in a row.")
 @click.option("--rows", type=click.IntRange(2, 200), default=6, show_default=True, help="Inner corners in a column.")
 @click.option("--square", "square_m", type=Number(0, min_open=True), required=True, help="Side of a square, metres.")
-@click.option(
-    "--type",
-    "kind",
-    type=click.Choice(["checkerboard", "charuco", "aprilgrid"]),
-    default="checkerboard",
-    show_default=True,
-)
-@click.option(
-    "--marker",
-    "marker_m",
-    type=Number(),
-    help="Side of a marker, metres.  [default: 0.75 squares; AprilGrid: squares / 0.65]",
-)
-@click.option("--dictionary", help="Of the markers, as OpenCV names it.  [default: DICT_5X5_250, DICT_APRILTAG_36h11]")
+@pattern_options("--type", "Pattern.")
 @click.option("--two-sided", is_flag=True, help="A second page for the back.")
 @click.option(
     "--thickness",
@@ -54,7 +44,7 @@ def command(
     cols: int,
     rows: int,
     square_m: float,
-    kind: str,
+    kind: BoardType,
     marker_m: float | None,
     dictionary: str | None,
     two_sided: bool,
@@ -87,18 +77,12 @@ def command(
         )
 
     from rgbd_calib.io.drawings import write_pdf, write_svg
-    from rgbd_calib.report import aprilgrid, board_sheet, board_tiles, charuco
-    from rgbd_calib.types import APRILGRID_TAGS, Board
+    from rgbd_calib.patterns import of_type
+    from rgbd_calib.report import board_sheet, board_tiles
+    from rgbd_calib.types import Board
 
     board = Board(cols, rows, square_m, two_sided, thickness_m if two_sided else 0.0)
-    if kind == "charuco":
-        marker_m = round(0.75 * square_m, 4) if marker_m is None else marker_m
-        board = replace(board, type="charuco", marker_m=marker_m, dictionary=dictionary or "DICT_5X5_250")
-        charuco.check(board)
-    elif kind == "aprilgrid":
-        marker_m = round(square_m / 0.65, 6) if marker_m is None else marker_m  # Kalibr's usual spacing of 0.3
-        board = replace(board, type="aprilgrid", marker_m=marker_m, dictionary=dictionary or APRILGRID_TAGS)
-        aprilgrid.check(board)
+    board = of_type(board, kind, marker_m, dictionary)
     if tile is not None:
         if page != "auto" or output.suffix.lower() != ".pdf":
             raise ConfigError(

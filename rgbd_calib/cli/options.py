@@ -122,6 +122,35 @@ def board_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return with_board
 
 
+def pattern_options(name: str, what: str) -> Decorator:
+    """`name` as kind, --marker as marker_m, and --dictionary: what is printed on a board."""
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        for option in (
+            click.option(
+                "--dictionary", help="Of the markers, as OpenCV names it.  [default: DICT_5X5_250, DICT_APRILTAG_36h11]"
+            ),
+            click.option(
+                "--marker",
+                "marker_m",
+                type=Number(),
+                help="Side of a marker, metres.  [default: 0.75 squares; AprilGrid: squares / 0.65]",
+            ),
+            click.option(
+                name,
+                "kind",
+                type=click.Choice(["checkerboard", "charuco", "aprilgrid"]),
+                default="checkerboard",
+                show_default=True,
+                help=what,
+            ),
+        ):
+            function = option(function)
+        return function
+
+    return decorate
+
+
 def parse_board(size: str | None, square_m: float | None, thickness_m: float | None) -> Board | None:
     """The board of the options, or None where none was given."""
     from rgbd_calib.types import Board

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from rgbd_calib.simulation.changes import SceneChange
     from rgbd_calib.simulation.params import SimulationParams
+    from rgbd_calib.types import BoardType
 
 
 @click.command("simulate")
@@ -51,6 +52,9 @@ if TYPE_CHECKING:
 @click.option("--width", type=click.IntRange(160, 4096), default=640, show_default=True, help="Image width, px.")
 @click.option("--height", type=click.IntRange(120, 4096), default=480, show_default=True, help="Image height, px.")
 @click.option("--board", default="9x6", show_default=True, metavar="COLSxROWS", help="Inner corners of the board.")
+@options.pattern_options(
+    "--board-type", "Pattern. Boards with markers are also shown cut by the borders of the images."
+)
 @click.option("--square", type=options.Number(0.005, 0.5), default=0.060, show_default=True, help="Square, metres.")
 @click.option(
     "--two-sided/--one-sided", default=True, show_default=True, help="The pattern on both faces, or on the front only."
@@ -195,6 +199,9 @@ def command(
     width: int,
     height: int,
     board: str,
+    kind: BoardType,
+    marker_m: float | None,
+    dictionary: str | None,
     square: float,
     two_sided: bool,
     thickness: float,
@@ -232,7 +239,7 @@ def command(
 ) -> None:
     """Render simulated recordings with ground truth into the folder OUT.
 
-    A furnished room, cameras on an arc or in a ring, a checkerboard on a stand. By default the recordings have the errors of
+    A furnished room, cameras on an arc or in a ring, a board on a stand. By default the recordings have the errors of
     real ones: a print that is not square, on a bent plate, with a misaligned sheet on its back; a depth bias, a depth error
     over the image and a misregistration for each camera; walls that are not square to the camera, at distances measured by
     tape; auto exposure, defocus and changing light. --ideal leaves only lens distortion, depth bias and noise. The same
@@ -258,6 +265,7 @@ def command(
       rgbd-calib simulate demo
       rgbd-calib simulate ring8 --cameras 8 --layout ring --seed 3
       rgbd-calib simulate perfect --ideal
+      rgbd-calib simulate tags --board-type aprilgrid --board 12x8 --square 0.04
       rgbd-calib simulate kinects --sensor tof --unregistered --infrared --lens rational
       rgbd-calib simulate clean --no-noise --frames 12
       rgbd-calib simulate bumped --snapshot --move C2:8,0,0,0,0.4,0 --people 2 --light 0.5
@@ -274,6 +282,7 @@ def command(
     import time
 
     from rgbd_calib.io.files import whole_folder
+    from rgbd_calib.patterns import of_type
     from rgbd_calib.simulation.clocks import WaveParams
     from rgbd_calib.simulation.color_sensor import ColorNoise
     from rgbd_calib.simulation.realism import IDEAL, Part, Realism
@@ -289,6 +298,7 @@ def command(
         "drift": no_drift,
         "images": no_image_errors,
     }
+    plain = Board(cols, rows, square, two_sided, thickness if two_sided else 0.0)
     off = [part for part, exact in switches.items() if exact]
     params = SimulationParams(
         cameras=cameras,
@@ -299,7 +309,7 @@ def command(
         width=width,
         height=height,
         seed=seed,
-        board=Board(cols, rows, square, two_sided, thickness if two_sided else 0.0),
+        board=of_type(plain, kind, marker_m, dictionary),
         color_noise=ColorNoise(0.0, 0.0, fringe_px=fringe)
         if no_noise
         else ColorNoise(blur, sigma_grey, fringe_px=fringe),

@@ -13,8 +13,8 @@ import numpy as np
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.drawings import Fill, Line, Shape, Sheet, Text
-from rgbd_calib.report import charuco
-from rgbd_calib.report.aprilgrid import gap_m, tags
+from rgbd_calib.patterns.aprilgrid import gap_m
+from rgbd_calib.patterns.black import rectangles_m, rim_m
 from rgbd_calib.types import Board
 
 PAGES_MM = {
@@ -46,7 +46,7 @@ def pattern_mm(board: Board) -> tuple[float, float]:
 
 def rim_mm(board: Board) -> float:
     """What is black beyond the outer corners: squares, the small ones of an AprilGrid."""
-    return 1000 * (gap_m(board) if board.type == "aprilgrid" else board.square_m)
+    return 1000 * rim_m(board)
 
 
 def page_mm(board: Board, page: str) -> tuple[float, float]:
@@ -139,37 +139,7 @@ def title(board: Board) -> str:
 
 def pattern(board: Board, x: float, y: float) -> list[Shape]:
     """What is black on the board, mm, with corner (0, 0) at (x, y)."""
-    if board.type == "aprilgrid":
-        return _aprilgrid(board, x, y)
-    square = board.square_m * 1000
-    x, y = x - square, y - square
-    dark = [
-        (x + i * square, y + j * square, square, square)
-        for j in range(board.rows + 1)
-        for i in range(board.cols + 1)
-        if (i + j) % 2 == 0
-    ]
-    shapes: list[Shape] = [Fill(tuple(dark))]
-    if board.type == "charuco":
-        shapes += [_cells(x, y, corner_m, cells, board) for corner_m, cells in charuco.markers(board)]
-    return shapes
-
-
-def _aprilgrid(board: Board, x: float, y: float) -> list[Shape]:
-    side, gap = 2000 * board.square_m, 1000 * gap_m(board)
-    small = [
-        (x - gap + i * side, y - gap + j * side, gap, gap)
-        for j in range(board.rows // 2 + 1)
-        for i in range(board.cols // 2 + 1)
-    ]
-    return [Fill(tuple(small)), *(_cells(x, y, corner_m, cells, board) for corner_m, cells in tags(board))]
-
-
-def _cells(x: float, y: float, corner_m: np.ndarray, cells: np.ndarray, board: Board) -> Fill:
-    """The black cells of a marker whose corner is at (x, y) + corner_m on the page."""
-    cell = board.marker_m * 1000 / len(cells)
-    x0, y0 = x + corner_m[0] * 1000, y + corner_m[1] * 1000
-    return Fill(tuple((x0 + i * cell, y0 + j * cell, cell, cell) for j, i in np.argwhere(~cells).tolist()))
+    return [Fill(tuple(map(tuple, 1000 * rectangles_m(board) + [x, y, 0, 0])))]
 
 
 def _marks(page: tuple[float, float], top: float, bottom: float) -> list[Shape]:

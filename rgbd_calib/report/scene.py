@@ -13,6 +13,7 @@ import numpy as np
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.patterns.black import rim_m
 from rgbd_calib.report.error_map import top_mm
 from rgbd_calib.report.plots import Figure, css_color, longest, plain
 from rgbd_calib.types import Board, Rig, RigCamera
@@ -172,7 +173,7 @@ def _lines(name: str, points: FloatArray, color: str, width: int) -> dict[str, A
 
 
 def _outline(T_world_board: FloatArray, board: Board) -> FloatArray:
-    w, h, s = (board.cols - 1) * board.square_m, (board.rows - 1) * board.square_m, board.square_m
+    (w, h), s = board.grid[-1] * board.square_m, rim_m(board)
     rim = np.array([[-s, -s, 0], [w + s, -s, 0], [w + s, h + s, 0], [-s, h + s, 0], [-s, -s, 0]])
     return se3.transform(T_world_board, rim)
 

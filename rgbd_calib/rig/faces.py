@@ -84,8 +84,6 @@ def read_views(
 
 
 def _moves(board: Board) -> tuple[tuple[bool, bool], ...]:
-    if board.type != "checkerboard":
-        return ((False, False),)
     backs, turns = ((False, True) if there else (False,) for there in (board.two_sided, board.symmetric))
     return tuple((back, turned) for back in backs for turned in turns)
 

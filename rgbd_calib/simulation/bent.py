@@ -17,7 +17,7 @@ import numpy as np
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.simulation.board import BORDER_M, outline_m
+from rgbd_calib.simulation.board import first_m, outline_m
 from rgbd_calib.simulation.printed import Printed, Sheet
 
 _NODE_M = 0.008
@@ -74,10 +74,8 @@ def _bent_face(sheet: Sheet, eye_m: FloatArray) -> BentFace:
     s, t = np.meshgrid(np.linspace(0, size[0], n[0]), np.linspace(0, size[1], n[1]))
     z = high[2] if sheet.back else low[2]
     q = np.stack([high[0] - s if sheet.back else low[0] + s, low[1] + t, np.full_like(s, z)], axis=-1)
-    first = (
-        sheet.board.square_m + BORDER_M
-    )  # the page's origin is corner (0, 0), the rectangle's the edge of the border
-    page = flat = np.stack([s, t], axis=-1) - first
+    # the page's origin is corner (0, 0), the rectangle's the edge of the border
+    page = flat = np.stack([s, t], axis=-1) - first_m(sheet.board)
     stretch = np.ones_like(s)
     for _ in range(_ROUNDS):
         p = sheet.points_m(page)

@@ -1,39 +1,50 @@
-"""The checkerboard as a thing in the scene: print on one face or both, on a stand."""
+"""The board as a thing in the scene: print on one face or both, on a stand."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.patterns.black import rim_m
 from rgbd_calib.simulation.scene import Scene, box, join, quad, rod
 from rgbd_calib.simulation.textures import Material, hex_color, plain
 from rgbd_calib.types import Board
 
 BORDER_M = 0.030
-"""White paper around the squares: half a square of the default board, which OpenCV's finders need."""
+"""White paper around the print: half a square of the default board, which OpenCV's finders need."""
 _INK, _PAPER = hex_color("262626"), hex_color("dadad6")
 _CORE = plain("board core", "d8d4c8")
 _STEEL = plain("steel", "8c9096")
 _STAND_RADIUS_M = 0.011
 
 
+def first_m(board: Board) -> float:
+    """From the plate's edges to corner (0, 0) of a face."""
+    return rim_m(board) + BORDER_M
+
+
+def sides_m(board: Board) -> FloatArray:
+    """Width and height (2,) of the print."""
+    return board.grid[-1] * board.square_m + 2 * rim_m(board)
+
+
 def outline_m(board: Board) -> tuple[FloatArray, FloatArray]:
     """Opposite corners (3,), (3,) of the plate, metres, in the board's frame."""
-    low = np.array([-board.square_m - BORDER_M, -board.square_m - BORDER_M, 0.0])
-    size = np.array([(board.cols + 1) * board.square_m, (board.rows + 1) * board.square_m, 0.0]) + 2 * BORDER_M
-    return low, low + size * [1, 1, 0] + [0, 0, max(board.thickness_m, 0.001)]
+    low = np.array([-first_m(board), -first_m(board), 0.0])
+    return low, low + [*sides_m(board) + 2 * BORDER_M, max(board.thickness_m, 0.001)]
 
 
 def plate(board: Board) -> Scene:
-    """The board in its own frame. The square left of and above corner (0, 0) of each face is black."""
+    """The board in its own frame."""
     low, high = outline_m(board)
-    squares = (float(board.cols + 1), float(board.rows + 1), BORDER_M)
-    checker = Material("checkerboard", "checker", (_INK, _PAPER), board.square_m, squares)
+    print_ = Material("print", "print", (_INK, _PAPER), first_m(board), board=replace(board, shape=None))
     x, y, z = np.diag(high - low)
-    back = quad(low + z + x, -x, y, checker if board.two_sided else _CORE)
+    back = quad(low + z + x, -x, y, print_ if board.two_sided else _CORE)
     sides = [quad(c, u, z, _CORE) for c, u in ((low, x), (low + y, x), (low, y), (low + x, y))]
-    return join([quad(low, x, y, checker), back, *sides])
+    return join([quad(low, x, y, print_), back, *sides])
 
 
 def grid_m(board: Board, n: int = 7) -> FloatArray:

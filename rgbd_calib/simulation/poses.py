@@ -11,6 +11,7 @@ import numpy as np
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.patterns.black import cell_m
 from rgbd_calib.simulation import board as boards
 from rgbd_calib.simulation.rig import TrueRig
 from rgbd_calib.simulation.scene import Caster
@@ -22,6 +23,10 @@ _CLOSE_RANGE_M = (0.5, 1.5)
 _SHARED_TILT_COS, _CLOSE_TILT_COS = np.cos(np.radians(50.0)), np.cos(np.radians(42.0))
 _MIN_SQUARE_PX = 8.5
 """Narrower squares than this are lost on a detector."""
+_MIN_CELL_PX = 1.6
+"""Narrower cells of markers than this are lost."""
+_PART = 0.4
+"""Share of the corners that a view of a board with markers has in the image at least; a checkerboard has all."""
 _CLEAR_M = 0.04
 _DRAWS = 6000
 """Poses in the pool that a recording's frames are chosen from."""
@@ -34,11 +39,13 @@ class _Candidates:
     T_room_board: FloatArray
     """(n, 4, 4)."""
     seen: np.ndarray
-    """(n, cameras) bool: all corners in the image, near enough and square enough to be found."""
+    """(n, cameras) bool: corners enough in the image, near enough and square enough to be found."""
     traits: FloatArray
     """(n, cameras, 5): u, v, z of the board's middle and two components of its normal, each scaled to about 0-1."""
     corners_px: FloatArray
     """(n, cameras, n_corners, 2) of the face that the camera looks at."""
+    inside: np.ndarray
+    """(n, cameras, n_corners) bool: in the image."""
 
 
 def shared_poses(
@@ -90,7 +97,7 @@ def close_poses(
     Raises
     ------
     CalibrationError
-        The board cannot be seen whole by this camera.
+        The board cannot be seen by this camera.
     """
     alone = TrueRig({which: rig.intrinsics[which]}, {which: rig.T_room_color[which]}, {which: rig.depth_bias[which]})
     K = rig.intrinsics[which]
@@ -99,20 +106,20 @@ def close_poses(
     chosen: list[FloatArray] = []
     for _ in range(_POOLS):
         pool = _draw(alone, board, rng, _CLOSE_RANGE_M, _CLOSE_TILT_COS)
-        px = pool.corners_px[:, 0]
+        px, inside = pool.corners_px[:, 0], pool.inside[:, 0]
         cell_v = np.clip(px[..., 1] / K.height * 12, 0, 11).astype(int)
         cell_u = np.clip(px[..., 0] / K.width * 16, 0, 15).astype(int)
         open_ = pool.seen[:, 0].copy()
         while len(chosen) < views and open_.any():
             good = np.flatnonzero(open_)
-            fresh = (1 / (1 + covered[cell_v[good], cell_u[good]]) ** 2).mean(axis=1)
+            fresh = (1 / (1 + covered[cell_v[good], cell_u[good]]) ** 2).mean(axis=1, where=inside[good])
             novelty = _novelty(pool, good, taken, np.ones((len(taken), 1), bool))
             i = good[np.argmax(fresh * (0.3 + novelty))]
             open_[i] = False
             if not _clear(board, pool.T_room_board[i], room):
                 continue
             chosen.append(pool.T_room_board[i])
-            np.add.at(covered, (cell_v[i], cell_u[i]), 1)
+            np.add.at(covered, (cell_v[i, inside[i]], cell_u[i, inside[i]]), 1)
             taken = np.concatenate([taken, pool.traits[i : i + 1]])
         if len(chosen) == views:
             return tuple(chosen)
@@ -165,7 +172,11 @@ def _judge(rig: TrueRig, board: Board, T: FloatArray, range_m: tuple[float, floa
     middle = boards.grid_m(board).mean(axis=0)
     n, m = len(T), len(rig.cameras)
     seen, traits = np.zeros((n, m), bool), np.zeros((n, m, 5))
-    corners_px = np.zeros((n, m, board.n_corners, 2))
+    corners_px, in_image = np.zeros((n, m, board.n_corners, 2)), np.zeros((n, m, board.n_corners), bool)
+    flat = board.corners_m()[None, :, :2]
+    least, least_px_per_m = float(board.n_corners), _MIN_SQUARE_PX / board.square_m
+    if board.type != "checkerboard":
+        least, least_px_per_m = _PART * board.n_corners, _MIN_CELL_PX / cell_m(board)
     for k, name in enumerate(rig.cameras):
         K = rig.intrinsics[name]
         T_color_board = se3.inverse(rig.T_room_color[name]) @ T
@@ -180,25 +191,30 @@ def _judge(rig: TrueRig, board: Board, T: FloatArray, range_m: tuple[float, floa
             x, y = p[..., 0] / p[..., 2], p[..., 1] / p[..., 2]
             bounds = np.abs(K.rays(np.array([[-0.5, -0.5], [K.width - 0.5, K.height - 0.5]]))[:, :2])
             sane = (np.abs(x) < 1.2 * bounds[:, 0].max()) & (np.abs(y) < 1.2 * bounds[:, 1].max())
-        edge = px.reshape(n, board.rows, board.cols, 2)
-        square_px = np.minimum(
-            np.linalg.norm(np.diff(edge, axis=1), axis=-1).min(axis=(1, 2)),
-            np.linalg.norm(np.diff(edge, axis=2), axis=-1).min(axis=(1, 2)),
-        )
-        inside = np.all((px > _MARGIN_PX) & (px < np.array([K.width, K.height]) - 1 - _MARGIN_PX), axis=-1)
+        inside = np.all((px > _MARGIN_PX) & (px < np.array([K.width, K.height]) - 1 - _MARGIN_PX), axis=-1) & sane
+        px_per_m = _sides(np.where(inside[..., None], px, np.nan), board) / _sides(flat, board)
         seen[:, k] = (
-            np.all(inside & sane & (p[..., 2] > 0.3), axis=1)
+            (inside.sum(axis=1) >= least)
+            & np.all(p[..., 2] > 0.3, axis=1)
             & (at[:, 2] > range_m[0])
             & (at[:, 2] < range_m[1])
             & (cos > tilt_cos)
-            & (square_px > _MIN_SQUARE_PX * K.width / 640)
+            & (np.fmin.reduce(px_per_m, axis=1) > least_px_per_m * K.width / 640)
             & (board.two_sided | ~back)
         )
-        traits[:, k, :2] = px.mean(axis=1) / [K.width, K.height]
+        total_px = px.sum(axis=1, where=inside[..., None])
+        traits[:, k, :2] = total_px / np.maximum(inside.sum(axis=1), 1)[:, None] / [K.width, K.height]
         traits[:, k, 2] = (at[:, 2] - range_m[0]) / (range_m[1] - range_m[0])
         traits[:, k, 3:] = 0.5 + 0.5 * normal[:, :2]
-        corners_px[:, k] = px
-    return _Candidates(T, seen, traits, corners_px)
+        corners_px[:, k], in_image[:, k] = px, inside
+    return _Candidates(T, seen, traits, corners_px, in_image)
+
+
+def _sides(corners: FloatArray, board: Board) -> FloatArray:
+    """Distances (n, k) between neighbours of corners (n, n_corners, 2)."""
+    grid = corners.reshape(-1, board.rows, board.cols, 2)
+    sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).reshape(len(grid), -1) for axis in (1, 2)]
+    return np.concatenate(sides, axis=1)
 
 
 def _novelty(pool: _Candidates, good: np.ndarray, taken: FloatArray, taken_seen: np.ndarray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""A checkerboard as printers and hands make it: sheets that are not square, glued to a plate that is not flat.
+"""A board as printers and hands make it: sheets that are not square, glued to a plate that is not flat.
 
 A point x of the page as designed (in the frame of the face: columns, rows) is printed at
 
@@ -24,6 +24,7 @@ import numpy as np
 
 from rgbd_calib.geometry import align, se3
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.simulation.board import sides_m
 from rgbd_calib.simulation.realism import Realism
 from rgbd_calib.types import Board, BoardShape
 
@@ -136,7 +137,7 @@ def printed(board: Board, realism: Realism, rng: np.random.Generator) -> Printed
 
 
 def _plate(board: Board, bow_m: float, rng: np.random.Generator) -> Plate:
-    sides = np.array([board.cols + 1, board.rows + 1]) * board.square_m
+    sides = sides_m(board)
     bow, twist, way = rng.normal(0, bow_m), rng.normal(0, 0.4 * bow_m), rng.uniform(0, np.pi)
     direction = np.array([np.cos(way), np.sin(way)])
     across = np.abs(direction) @ sides
@@ -145,7 +146,7 @@ def _plate(board: Board, bow_m: float, rng: np.random.Generator) -> Plate:
 
 def _waves(board: Board, rms_m: float, rng: np.random.Generator) -> tuple[Waves, FloatArray]:
     """Offsets with this RMS per coordinate at the corners, affine part excluded; and that part, (3, 2) for x - m, y - m, 1."""
-    width, height = np.array([board.cols + 1, board.rows + 1]) * board.square_m
+    width, height = sides_m(board)
     feed = [(0.0, 1 / (height * rng.uniform(*_ROLLERS_M))) for _ in range(_ROLLERS)]
     lines = [(1 / (width * rng.uniform(0.8, 1.2)), 0.0)]
     angles, lengths = rng.uniform(0, 2 * np.pi, _GLUE_WAVES), width * rng.uniform(0.4, 1.2, _GLUE_WAVES)
@@ -165,7 +166,7 @@ def _waves(board: Board, rms_m: float, rng: np.random.Generator) -> tuple[Waves,
 
 
 def _middle(board: Board) -> FloatArray:
-    return np.array([board.cols - 1, board.rows - 1]) * board.square_m / 2
+    return np.asarray(board.grid[-1] * board.square_m / 2)
 
 
 def _corners(board: Board) -> FloatArray:

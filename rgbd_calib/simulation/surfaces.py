@@ -18,6 +18,10 @@ PRINT_SAMPLES = 48
 """Places in a pixel that an edge of the board's print crosses: its corners are what is measured."""
 
 
+_CELLS = 200_000
+"""More than a print has: of 40 x 40 corners, with markers of 8 x 8 cells, 170,000."""
+
+
 @dataclass(frozen=True)
 class SeenBoard:
     """Pixels in which a camera sees the board or its stand, in front of the room."""
@@ -88,7 +92,7 @@ def board_albedo(
     crossed = edge_pixels(patch.reshape(view.shape))
     quads, pixels = seen.quads[which], seen.pixels[which]
     color = albedo(scene, quads, seen.s_m[which], seen.t_m[which])[0]
-    printed = np.array([material.kind == "checker" for material in scene.materials])[scene.material[quads]]
+    printed = np.array([material.board is not None for material in scene.materials])[scene.material[quads]]
     mixed = np.flatnonzero(crossed[pixels] & printed)
     color[mixed] = mean_albedo(view, scene, quads[mixed], pixels[mixed], bent, rng)
     return color
@@ -143,7 +147,7 @@ def on_surface(scene: Scene, quads: np.ndarray, points_m: FloatArray) -> tuple[F
 
 def patches(scene: Scene, quads: np.ndarray, s_m: FloatArray, t_m: FloatArray) -> np.ndarray:
     """Numbers (n,) of the patches of one colour at places on rectangles (n,)."""
-    patch = quads * 10_000
+    patch = quads * _CELLS
     for m, material in enumerate(scene.materials):
         mine = scene.material[quads] == m
         patch[mine] += textures.cells(material, s_m[mine], t_m[mine])

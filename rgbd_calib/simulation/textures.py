@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.patterns.black import lattice
+from rgbd_calib.types import Board
 
 RGB = tuple[float, float, float]
 
@@ -24,8 +26,8 @@ class Material:
     kind: str
     colors: tuple[RGB, ...]
     size_m: float = 0.1
-    params: tuple[float, ...] = ()
-    """Of a checkerboard: squares along and across, white border in metres."""
+    board: Board | None = None
+    """Of a print: what is printed; its corner (0, 0) is `size_m` from both edges."""
 
 
 def hex_color(code: str) -> RGB:
@@ -53,12 +55,13 @@ def encode(light: FloatArray) -> FloatArray:
 
 def cells(material: Material, s_m: FloatArray, t_m: FloatArray) -> np.ndarray:
     """Number of the patch of one colour at (s, t), (n,): where it changes, a sharp edge runs between."""
-    if material.kind != "checker":
+    if material.board is None:
         return np.zeros(len(s_m), int)
-    across, down, _ = material.params
-    i, j = _squares(material, s_m, t_m)
-    inside = (i >= 0) & (i < across) & (j >= 0) & (j < down)
-    return np.where(inside, 1 + i * int(down) + j, 0)
+    print_ = lattice(material.board)
+    i, j = print_.cells(s_m - material.size_m, t_m - material.size_m)
+    across, down = np.array(print_.black.shape) - 1
+    inside = (i > 0) & (i < across) & (j > 0) & (j < down)
+    return np.where(inside, i * down + j, 0)
 
 
 def albedo(material: Material, s_m: FloatArray, t_m: FloatArray, salt: FloatArray) -> FloatArray:
@@ -170,25 +173,19 @@ def _glow(m: Material, s: FloatArray, t: FloatArray, salt: FloatArray) -> FloatA
     return np.broadcast_to(linear(np.array(m.colors[0])), (len(s), 3)).copy()
 
 
-def _squares(m: Material, s: FloatArray, t: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    border_m = m.params[2]
-    return np.floor((s - border_m) / m.size_m).astype(int), np.floor((t - border_m) / m.size_m).astype(int)
-
-
 def ink(m: Material, s_m: FloatArray, t_m: FloatArray) -> np.ndarray:
-    """Is a checkerboard black at (s, t), any shape? Its first square is."""
-    across, down, border_m = m.params
-    i, j = np.floor((s_m - border_m) / m.size_m), np.floor((t_m - border_m) / m.size_m)
-    return (i >= 0) & (i < across) & (j >= 0) & (j < down) & ((i + j) % 2 == 0)
+    """Is a print black at (s, t), any shape?"""
+    assert m.board is not None
+    return lattice(m.board).is_black(s_m - m.size_m, t_m - m.size_m)
 
 
 def print_mean(m: Material, dark: FloatArray) -> FloatArray:
-    """Linear albedo (n, 3) of a checkerboard where a share `dark` (n,) of it is black."""
+    """Linear albedo (n, 3) of a print where a share `dark` (n,) of it is black."""
     return _mix(m.colors[1], m.colors[0], dark)
 
 
-def _checker(m: Material, s: FloatArray, t: FloatArray, salt: FloatArray) -> FloatArray:
-    """Squares of `size_m` inside a border; colours[0] is the ink's, colours[1] the paper's."""
+def _print(m: Material, s: FloatArray, t: FloatArray, salt: FloatArray) -> FloatArray:
+    """colours[0] is the ink's, colours[1] the paper's."""
     return print_mean(m, ink(m, s, t).astype(float))
 
 
@@ -201,5 +198,5 @@ _KINDS = {
     "brick": _brick,
     "picture": _picture,
     "glow": _glow,
-    "checker": _checker,
+    "print": _print,
 }

@@ -45,7 +45,5 @@ class BoardShapeBlock(Block):
     def over_board(self) -> tuple[FloatArray, FloatArray]:
         """x and y (2, M) of the corners, from -1 to 1 over the board."""
         board = self.setup.board
-        corners = nominal_corners_m(board)
-        x = 2 * corners[..., 0] / ((board.cols - 1) * board.square_m) - 1
-        y = 2 * corners[..., 1] / ((board.rows - 1) * board.square_m) - 1
-        return x, y
+        places = 2 * nominal_corners_m(board)[..., :2] / (board.grid[-1] * board.square_m) - 1
+        return places[..., 0], places[..., 1]

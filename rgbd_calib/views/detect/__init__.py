@@ -21,8 +21,9 @@ from rgbd_calib.views.detect.aprilgrid import find_aprilgrid
 from rgbd_calib.views.detect.charuco import find_charuco
 from rgbd_calib.views.detect.checkerboard import find_checkerboard, grid_sizes, orient
 from rgbd_calib.views.detect.depth import corner_depth
+from rgbd_calib.views.detect.markers import corners_around
 from rgbd_calib.views.detect.params import DetectParams
-from rgbd_calib.views.detect.subpixel import Surroundings, refine
+from rgbd_calib.views.detect.subpixel import refine
 
 __all__ = [
     "DetectParams",
@@ -50,24 +51,22 @@ def find_corners(
         A board that cannot be found in any image: its quarter turns look alike, or its dictionary is unknown.
     """
     params = params or DetectParams()
-    clear: Surroundings | None = None
-    if board.type == "charuco":
-        found = find_charuco(gray, board)
-        clear = Surroundings((1 - board.marker_m / board.square_m) / 2)
-    elif board.type == "aprilgrid":
-        tags = find_aprilgrid(gray, board)
-        found, clear = (None, None) if tags is None else (tags[:2], tags[2])
-    elif board.cols == board.rows:
+    if board.type != "checkerboard":
+        markers = (find_charuco if board.type == "charuco" else find_aprilgrid)(gray, board)
+        if markers is None:
+            return None
+        ids, corners_px = corners_around(gray, board, *markers)
+        return (ids, corners_px) if len(ids) >= params.min_corners else None
+    if board.cols == board.rows:
         raise ConfigError(
             f"board: {board.cols} x {board.rows} inner corners; a board with as many columns as rows looks the same "
             "when rotated by 90°. Use a board with different numbers"
         )
-    else:
-        found = find_checkerboard(gray, board, params)
+    found = find_checkerboard(gray, board, params)
     if found is None:
         return None
     ids, corners_px = found
-    corners_px, good = refine(gray, board.grid[ids], corners_px, clear)
+    corners_px, good = refine(gray, board.grid[ids], corners_px)
     if good.sum() < max(params.min_corners, params.min_share * len(ids)):
         return None
     return ids[good], corners_px[good]

@@ -12,4 +12,4 @@ class DetectParams:
     min_corners: int = 6
     """A view with fewer corners is dropped."""
     min_share: float = 0.8
-    """So is one that loses more of the corners found to the checks of each corner."""
+    """So is one of a checkerboard that loses more of the corners found to the checks of each corner."""

@@ -209,12 +209,21 @@ def _sides(grid: FloatArray, corners_px: FloatArray) -> FloatArray | None:
     """Sides (n, 2, 2), px, of a square at each corner, by the homography of the grid; None where there is none."""
     if len(grid) < 4 or np.linalg.matrix_rank(grid - grid.mean(axis=0)) < 2:
         return None
-    H, _ = cv2.findHomography(grid.astype(float), corners_px, cv2.LMEDS if len(grid) > 8 else 0)
+    H = robust_homography(grid, corners_px)
     if H is None:
         return None
     ahead = cv2.perspectiveTransform(np.stack([grid + [0.5, 0], grid + [0, 0.5]], axis=1).astype(float), H)
     behind = cv2.perspectiveTransform(np.stack([grid - [0.5, 0], grid - [0, 0.5]], axis=1).astype(float), H)
     return np.asarray(ahead - behind, float)
+
+
+def robust_homography(grid: FloatArray, corners_px: FloatArray) -> FloatArray | None:
+    """H (3, 3) that most of the corners (n, 2) agree on; of few, or of two rows, where OpenCV finds no subset, all of them."""
+    for method in (cv2.LMEDS, 0) if len(grid) > 8 else (0,):
+        H = cv2.findHomography(grid.astype(float), corners_px, method)[0]
+        if H is not None:
+            return np.asarray(H, float)
+    return None
 
 
 def _shorter(sides: FloatArray) -> FloatArray:

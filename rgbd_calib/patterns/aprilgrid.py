@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import cv2
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
+from rgbd_calib.patterns.charuco import predefined
 from rgbd_calib.types import Board
 
 BORDER = 2
@@ -15,18 +17,12 @@ BORDER = 2
 
 def check(board: Board) -> None:
     """Raise ConfigError unless the board has whole tags, has tags enough, and they leave a gap."""
-    import cv2
-
     if board.cols % 2 or board.rows % 2:
         raise ConfigError(
-            f"--cols {board.cols} --rows {board.rows}: an AprilGrid has two corners for each tag along columns and rows; even "
-            f"numbers needed, such as {board.cols + board.cols % 2} and {board.rows + board.rows % 2}"
+            f"board: {board.cols} x {board.rows} corners seen; an AprilGrid has two for each tag along columns and rows. "
+            f"Take even numbers, such as {board.cols + board.cols % 2} x {board.rows + board.rows % 2}"
         )
-    number = getattr(cv2.aruco, board.dictionary, None) if board.dictionary.startswith("DICT_APRILTAG_") else None
-    if number is None:
-        known = [name for name in dir(cv2.aruco) if name.startswith("DICT_APRILTAG_")]
-        raise ConfigError(f"dictionary: '{board.dictionary}' seen, one of {', '.join(known)} needed")
-    has = len(cv2.aruco.getPredefinedDictionary(number).bytesList)
+    has = len(predefined(board.dictionary, "DICT_APRILTAG_").bytesList)
     if board.n_corners > 4 * has:
         raise ConfigError(f"dictionary: {board.dictionary} has {has} tags, {board.n_corners // 4} are needed")
     if not board.square_m < board.marker_m < 2 * board.square_m:
@@ -43,9 +39,7 @@ def gap_m(board: Board) -> float:
 
 def tags(board: Board) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Top left corner (2,), metres from corner (0, 0), and cells (n, n), True = white, of each tag."""
-    import cv2
-
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+    dictionary = predefined(board.dictionary)
     side = dictionary.markerSize + 2 * BORDER
     cols = board.cols // 2
     for number in range(board.n_corners // 4):
