@@ -120,7 +120,7 @@ class Result:
     @property
     def expected_mm(self) -> float | None:
         """Mean expected distance between the places where two cameras see one point, mm; None where it is not known."""
-        return self.rig.quality.get("expected_alignment", {}).get("mean_mm")
+        return self.rig.quality.expected_mm
 
     def report(self, folder: str | Path, *, title: str = "rig") -> Path:
         """Write the report, one HTML file without links to others, into `folder`; its path."""

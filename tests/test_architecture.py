@@ -11,6 +11,7 @@ ROOT = Path(rgbd_calib.__file__).parent
 ORDER = (
     "errors",
     "geometry",
+    "quality",
     "types",
     "io",
     "sensors",
@@ -81,7 +82,8 @@ def test_files_stay_short_enough_to_read(path):
 PURE = [
     p
     for p in FILES
-    if p.relative_to(ROOT).with_suffix("").parts[0] in {"geometry", "types", "views", "cameras", "rig", "trust"}
+    if p.relative_to(ROOT).with_suffix("").parts[0]
+    in {"geometry", "quality", "types", "views", "cameras", "rig", "trust"}
 ]
 
 
