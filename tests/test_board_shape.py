@@ -58,7 +58,7 @@ def test_a_misprinted_bent_board_is_found_as_it_is():
     assert np.sqrt(np.mean(off_m(sv.BOARD.corners_m())[:, :2] ** 2)) > 3e-4  # as stated
     assert np.sqrt(np.mean(off_m(found.front_m)[:, :2] ** 2)) < 2 * sigma_m
     assert found.front_sd_m is not None and found.back_m is None
-    told = " ".join(properties_of(solution))
+    told = " ".join(own.text for own in properties_of(solution))
     assert re.search(r"The print is 0\.(39|40|41) % wider along its columns than along its rows", told), told
     assert re.search(r"bent by (0\.[89]|1\.[0-4])\d mm", told), told
     assert "misregistered" not in told  # it is not
