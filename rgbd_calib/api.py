@@ -256,7 +256,7 @@ def verify(
     used = frames_of_calibration(known, opened)
     refuse_nothing_new(known, opened, used)
     if used:
-        log.warning("Held out: %d of %d frames, which the rig was calibrated from", len(used), len(opened.frames))
+        log.info("Held out: %d of %d frames, which the rig was calibrated from", len(used), len(opened.frames))
     found = detections_from(opened, _path(corners), resolved.detect, pool, shown)
     new = [view for view in found.views if view.frame not in used]
     params = VerdictParams() if max_mm is None else VerdictParams(max_m=max_mm / 1e3)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from rgbd_calib.cli.options import config_option, corners_option, progress, show, workers_options
 
 if TYPE_CHECKING:
+    from rgbd_calib.pipeline.clouds import CloudAlignment
     from rgbd_calib.pipeline.workers import Workers
     from rgbd_calib.quality import AlignmentNumbers
 
@@ -83,20 +84,20 @@ def command(
         show(f"{name}: {_line(numbers)}")
 
 
-def _tell_clouds(summary: dict[str, Any], as_json: bool) -> None:
+def _tell_clouds(summary: CloudAlignment, as_json: bool) -> None:
     from rgbd_calib.io.plain import to_json
 
     if as_json:
         show(to_json(summary, indent=2))
         return
-    for name, own in (summary["pairs"] | {"all pairs": summary["all"]}).items():
-        error = f"{own['error_mm']:.2f} mm RMS without noise, " if "error_mm" in own else ""
+    for name, own in (*summary.pairs.items(), ("all pairs", summary.all)):
+        error = f"{own.error_mm:.2f} mm RMS without noise, " if own.error_mm is not None else ""
         show(
-            f"{name}: {error}{own['rms_mm']:.2f} mm RMS and {own['median_mm']:.2f} mm in the median with it; {own['patches']} patches, "
-            f"{100 * own['overlap_share']:.0f} % of the surfaces in common"
+            f"{name}: {error}{own.rms_mm:.2f} mm RMS and {own.median_mm:.2f} mm in the median with it; {own.patches} patches, "
+            f"{100 * own.overlap_share:.0f} % of the surfaces in common"
         )
-    if summary["without_overlap"]:
-        show(f"no surfaces in common: {', '.join(summary['without_overlap'])}")
+    if summary.without_overlap:
+        show(f"no surfaces in common: {', '.join(summary.without_overlap)}")
 
 
 def _line(own: AlignmentNumbers) -> str:

@@ -92,14 +92,13 @@ def _by_snapshot(
     from rgbd_calib.io.rig_update import write_updates
     from rgbd_calib.pipeline.calibrate import provenance_of
     from rgbd_calib.pipeline.config import load_config
-    from rgbd_calib.pipeline.snapshot import corrected_by, summary, verify_snapshot
+    from rgbd_calib.pipeline.snapshot import corrected_by, verify_snapshot
     from rgbd_calib.trust.snapshot import SnapshotParams
 
     rig, old = read_rig(rig_path), open_recording(snapshot)
     new = open_recording(recording)
     verdict = verify_snapshot(rig, new, old, SnapshotParams())
-    numbers = summary(verdict)
-    for line in snapshot_table(numbers):
+    for line in snapshot_table(verdict):
         show(line)
     changes = corrected_by(rig, verdict, new, old)
     provenance = {
