@@ -120,7 +120,7 @@ class Result:
     @property
     def expected_mm(self) -> float | None:
         """Mean expected distance between the places where two cameras see one point, mm; None where it is not known."""
-        return self.rig.quality.get("expected_alignment", {}).get("mean_mm")
+        return self.rig.quality.expected_mm
 
     def report(self, folder: str | Path, *, title: str = "rig") -> Path:
         """Write the report, one HTML file without links to others, into `folder`; its path."""
@@ -256,7 +256,7 @@ def verify(
     used = frames_of_calibration(known, opened)
     refuse_nothing_new(known, opened, used)
     if used:
-        log.warning("Held out: %d of %d frames, which the rig was calibrated from", len(used), len(opened.frames))
+        log.info("Held out: %d of %d frames, which the rig was calibrated from", len(used), len(opened.frames))
     found = detections_from(opened, _path(corners), resolved.detect, pool, shown)
     new = [view for view in found.views if view.frame not in used]
     params = VerdictParams() if max_mm is None else VerdictParams(max_m=max_mm / 1e3)

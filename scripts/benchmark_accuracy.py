@@ -112,7 +112,7 @@ def measure(work: Path, layout: str, seed: int, ideal: bool) -> dict:
         )
         row[f"seconds_without_detection {corners}"] = time.perf_counter() - start
         row[f"bundle_mm {corners}"] = alignment_mm(result.rig)
-        row[f"stated_mm {corners}"] = result.rig.quality["expected_alignment"]["mean_mm"]
+        row[f"stated_mm {corners}"] = result.rig.quality.expected_alignment.mean_mm
         row[f"opencv_mm {corners}"] = alignment_mm(opencv_chain(result))
         row[f"mrcal_mm {corners}"] = alignment_mm(mrcal_rig(result, board, close))
         row[f"nees {corners}"] = nees(result, truth)

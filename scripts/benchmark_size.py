@@ -136,11 +136,10 @@ def calibrate_in_parts(folder: Path, given: bool, max_views: int | None) -> dict
             detections=Detections(views, ()),
         )
     quality = result.rig.quality
-    report |= {"views": len(views), "used": sum(quality["views_used"].values()), "rounds": len(quality["rounds"])}
-    report["expected_mm"] = quality["expected_alignment"]["mean_mm"]
-    report["expected_mm_with_all"] = quality.get("frame_selection", {}).get(
-        "expected_mm_with_all", report["expected_mm"]
-    )
+    report |= {"views": len(views), "used": sum(quality.views_used.values()), "rounds": len(quality.rounds)}
+    report["expected_mm"] = quality.expected_mm
+    selected = quality.frame_selection
+    report["expected_mm_with_all"] = quality.expected_mm if selected is None else selected.expected_mm_with_all
     return report
 
 

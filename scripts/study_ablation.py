@@ -45,7 +45,7 @@ def main(simulation: Path) -> None:
             intrinsic_detections=close,
         )
         mm = alignment_mm(simulation, extrinsic, result)
-        stated = result.rig.quality["expected_alignment"]["mean_mm"]
+        stated = result.rig.quality.expected_alignment.mean_mm
         what = "nothing" if not hold else f"`{hold[0]}`" if len(hold) == 1 else "all of these"
         left = depth_left_mm(result.rig, truth)
         click.echo(f"| {what} | {mm:.2f} | {stated:.2f} | {nees(result, truth):.1f} | {left:.2f} |")

@@ -9,7 +9,7 @@ import json
 import shutil
 import tempfile
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import click
 import numpy as np
@@ -91,10 +91,10 @@ def reuse(recording: Recording, found: Detections, spoiled: tuple[tuple[str, str
 
 def dropped(result: Calibration) -> dict[str, dict[str, str]]:
     """Views, or their depth, that were left out, by camera and frame."""
-    quality: dict[str, Any] = result.rig.quality
+    quality = result.rig.quality
     out: dict[str, dict[str, str]] = {}
-    for part in (quality["views_not_associated"], quality["dropped"]):
-        for camera, frames in part.items():
+    for part in (quality.views_not_associated, quality.dropped):
+        for camera, frames in (part or {}).items():
             out.setdefault(camera, {}).update({f: why for f, why in frames.items() if "alone" not in f})
     return out
 

@@ -114,14 +114,14 @@ def try_fault(
     quality = result.rig.quality
     verdict = judge(quality, ())
     rig = with_true_depth(result.rig, session)
-    scale = quality["self_check"].get("scale", {})
+    scale = quality.self_check.scale
     return Row(
         fault,
         seed,
         1e3 * float(against_truth(rig, session.truth, session.boards, session.board).distance_m.mean()),
         place_error_mm(rig, session),
-        quality.get("expected_alignment", {}).get("mean_mm"),
-        10 * scale.get("sd_percent", 0.0) * scale.get("distance_m", 0.0),
+        quality.expected_mm,
+        0.0 if scale is None else 10 * scale.sd_percent * scale.distance_m,
         verdict.level,
         " | ".join([verdict.headline, *verdict.reasons]),
         seconds,
@@ -228,17 +228,17 @@ def false_alarm(seed: int) -> Clean:
     start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         result = calibrate_session(session, Path(folder))
-    own = result.rig.quality["self_check"]
+    own = result.rig.quality.self_check
     rig = f"{layout} of {n}, {size[0]}x{size[1]}, board {cols}x{rows}, {noise.sigma_2d_px:.2f} px, {frames} frames"
     return Clean(
         seed,
         rig + ("" if walls else ", no walls"),
         1e3 * float(against_truth(result.rig, session.truth, session.boards, session.board).distance_m.mean()),
-        result.rig.quality["expected_alignment"]["mean_mm"],
+        result.rig.quality.expected_mm,
         bound_95_mm(result, session, np.random.default_rng(seed)),
         judge(result.rig.quality, ()).level,
-        own["trusted"],
-        tuple(f["text"] for f in own["findings"]),
+        own.trusted,
+        tuple(f.text for f in own.findings),
         time.process_time() - start,
     )
 

@@ -72,7 +72,7 @@ def study(seed: int, cameras: int, args: argparse.Namespace) -> dict[str, Any]:
         out["cpu_s"] = time.process_time() - begin
         out["mm"], out["nees"] = alignment_mm(found, session.truth), pose_nees(found, session.truth)
         out["board_mm"] = alignment_mm(found, session.truth, session)
-        out["stated_mm"] = found.quality.get("expected_alignment", {}).get("mean_mm", float("nan"))
+        out["stated_mm"] = found.quality.expected_mm or float("nan")
         for name_, truth in session.clocks.items():
             clock = found.cameras[name_].clock
             assert clock is not None

@@ -204,18 +204,18 @@ def study(kind: str, seed: int, cameras: int, args: argparse.Namespace) -> str:
             return f"{head}refused: {error}"
     seconds, quality = time.process_time() - begin, found.quality
     errors = alignment_mm(found, session.truth, session), alignment_mm(found, session.truth)
-    stated = quality.get("expected_alignment", {}).get("mean_mm", float("nan"))
+    stated = quality.expected_mm or float("nan")
     lines = [
         f"{head}{judge(quality, []).level} | {errors[0]:.2f} mm where the board went, stated {stated:.2f}; {errors[1]:.2f} mm over 1 "
         f"to 3 m; {at_corners_mm(found, session):.2f} mm at the corners' own places; {seconds:.0f} s"
     ]
-    checks = quality["self_check"]
-    tests = [t for t in checks.get("tests", []) if t["dof"]]
-    mean = np.mean([t["chi2"] / t["dof"] for t in tests]) if tests else float("nan")
+    checks = quality.self_check
+    tests = [t for t in checks.tests or () if t.dof]
+    mean = np.mean([t.chi2 / t.dof for t in tests]) if tests else float("nan")
     lines += [
-        f"    {len(checks['findings'])} findings of {checks['tested']} tests, chi2/dof of the best of each kind {mean:.2f}"
+        f"    {len(checks.findings)} findings of {checks.tested} tests, chi2/dof of the best of each kind {mean:.2f}"
     ]
-    lines += [f"    {f['level']}: {f['text']} (p {f.get('p')}, {f.get('effect_mm')} mm)" for f in checks["findings"]]
+    lines += [f"    {f.level}: {f.text} (p {f.p}, {f.effect_mm} mm)" for f in checks.findings]
     if args.parts:
         lines.append("    " + ", ".join(f"{key} {value:.2f}" for key, value in parts_mm(found, session).items()))
     return "\n".join(lines)

@@ -99,4 +99,4 @@ def _truth(path: Path) -> None:
     cameras = {
         f"C{i + 1}": RigCamera(lens, camera_pose(i, CAMERAS), np.zeros((6, 6)), None, {}) for i in range(CAMERAS)
     }
-    write_rig(path, Rig("C1", cameras, {}, {}))
+    write_rig(path, Rig("C1", cameras))

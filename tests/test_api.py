@@ -63,7 +63,7 @@ def test_every_stable_name_is_there_and_others_are_not():
 
 def test_a_calibration_from_python(result, tmp_path, drawn):
     assert result.verdict.level in ("good", "fair") and str(result.verdict) == result.verdict.headline
-    assert result.expected_mm == result.rig.quality["expected_alignment"]["mean_mm"]
+    assert result.expected_mm == result.rig.quality.expected_alignment.mean_mm
     assert result.report(tmp_path / "report").read_text().count("<section") > 5
     result.rig.save(tmp_path / "rig.yaml")
     assert residuals_path(tmp_path / "rig.yaml").exists()

@@ -11,6 +11,7 @@ ROOT = Path(rgbd_calib.__file__).parent
 ORDER = (
     "errors",
     "geometry",
+    "quality",
     "types",
     "patterns",
     "io",
@@ -83,7 +84,7 @@ PURE = [
     p
     for p in FILES
     if p.relative_to(ROOT).with_suffix("").parts[0]
-    in {"geometry", "types", "patterns", "views", "cameras", "rig", "trust"}
+    in {"geometry", "quality", "types", "patterns", "views", "cameras", "rig", "trust"}
 ]
 
 

@@ -15,11 +15,13 @@ from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry import align, se3
 from rgbd_calib.io.board_files import read_board
 from rgbd_calib.io.dataset import CameraInfo, write_dataset
+from rgbd_calib.io.quality import quality_of
 from rgbd_calib.io.recording import open_recording
-from rgbd_calib.io.rig import board_data, board_in, read_rig, write_rig
+from rgbd_calib.io.rig import read_rig, write_rig
 from rgbd_calib.patterns import of_type
 from rgbd_calib.pipeline.properties import properties_of
 from rgbd_calib.pipeline.rig_inputs import board_for
+from rgbd_calib.quality import Quality
 from rgbd_calib.rig.bundle import bundle
 from rgbd_calib.rig.setup import BundleParams, CameraPrior
 from rgbd_calib.simulation.views import true_views
@@ -57,7 +59,7 @@ def test_a_misprinted_bent_board_is_found_as_it_is():
     assert np.sqrt(np.mean(off_m(sv.BOARD.corners_m())[:, :2] ** 2)) > 3e-4  # as stated
     assert np.sqrt(np.mean(off_m(found.front_m)[:, :2] ** 2)) < 2 * sigma_m
     assert found.front_sd_m is not None and found.back_m is None
-    told = " ".join(properties_of(solution))
+    told = " ".join(own.text for own in properties_of(solution))
     assert re.search(r"The print is 0\.(39|40|41) % wider along its columns than along its rows", told), told
     assert re.search(r"bent by (0\.[89]|1\.[0-4])\d mm", told), told
     assert "misregistered" not in told  # it is not
@@ -72,7 +74,7 @@ def shaped(tmp_path):
     shape = BoardShape(front, front + [0, 0, 0.006], np.full_like(front, 2e-5), np.full_like(front, 4e-5))
     board = replace(sv.TWO_SIDED, shape=shape)
     rig = Rig("C1", {"C1": RigCamera(sv.arc(2).cameras["C1"].intrinsics, np.eye(4), np.zeros((6, 6)))})
-    write_rig(tmp_path / "rig.yaml", replace(rig, quality={"board": board_data(board)}))
+    write_rig(tmp_path / "rig.yaml", replace(rig, quality=Quality(board=board)))
     return tmp_path / "rig.yaml", board
 
 
@@ -91,10 +93,9 @@ def test_the_shape_is_given_back(run, shaped, tmp_path):
 def test_a_rig_without_a_shape_says_which_method_finds_it(run, shaped, tmp_path):
     _, board = shaped
     flat = Rig("C1", {"C1": RigCamera(sv.arc(2).cameras["C1"].intrinsics, np.eye(4), np.zeros((6, 6)))})
-    write_rig(tmp_path / "flat.yaml", replace(flat, quality={"board": board_data(replace(board, shape=None))}))
+    write_rig(tmp_path / "flat.yaml", replace(flat, quality=Quality(board=replace(board, shape=None))))
     out = run("board-shape", tmp_path / "flat.yaml")
     assert out.status == 2 and "--method bundle" in out.stderr
-    assert board_in({}) is None
 
 
 def test_a_view_is_posed_on_the_print_as_it_is():
@@ -127,7 +128,7 @@ def test_the_shape_is_taken_for_the_same_board_only(shaped, tmp_path):
         found = board_for(open_recording(tmp_path), rig)
         assert (found.shape is not None) == known and found.square_m == stated.square_m
     with pytest.raises(ConfigError, match="describes no board"):
-        board_for(open_recording(tmp_path), replace(rig, quality={"board": {"cols": 9}}))
+        board_for(open_recording(tmp_path), replace(rig, quality=quality_of({"board": {"cols": 9}})))
 
 
 def test_what_is_held_at_zero_on_request_is_looked_for():

@@ -25,6 +25,7 @@ from rgbd_calib.io.files import load_yaml
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_boards, read_rig
 from rgbd_calib.pipeline.evaluate import against_truth
+from rgbd_calib.quality import Counted
 from rgbd_calib.types import Rig
 
 METHODS = ("init", "ba", "icp", "baicp+", "biobjective", "bundle")
@@ -61,8 +62,8 @@ def test_every_method(run, three, tmp_path, method):
     assert rig.reference == "C1"
     np.testing.assert_array_equal(rig.cameras["C1"].T_world_color, np.eye(4))
     assert alignment_mm(rig, three) < MAX_MM[method]
-    assert rig.quality["method"] == method
-    assert rig.quality["views_used"] == {n: sum(v.camera == n for v in three.views) for n in rig.cameras}
+    assert rig.quality.method == method
+    assert rig.quality.views_used == {n: sum(v.camera == n for v in three.views) for n in rig.cameras}
     assert rig.provenance["config"]["method"] == method
     assert rig.provenance["recording_sha256"] == open_recording(three.path).digest()
     assert (tmp_path / "rig.residuals.csv").exists()
@@ -120,7 +121,7 @@ def test_missing_frames(run, tmp_path):
 def test_a_ring_with_a_two_sided_board(run, tmp_path):
     recording = make_recording(tmp_path, ring(4), TWO_SIDED, frames=20)
     rig = calibrated(run, recording, tmp_path / "rig.yaml")
-    assert rig.quality["back_views"] > 0
+    assert rig.quality.back_views > 0
     errors = pose_errors({n: c.T_world_color for n, c in rig.cameras.items()}, recording.rig)
     # opposed cameras meet by the board's two faces only: 0.3 degrees over 4 m
     assert max(shift_m for _, shift_m in errors.values()) < 0.02
@@ -133,7 +134,7 @@ def test_an_even_board_read_from_either_end(run, tmp_path, method):
     write_corners(recording.corners, views)
     rig = calibrated(run, recording, tmp_path / "rig.yaml", "--method", method)
     assert len(turned) > 5
-    assert sum(rig.quality["views_used"].values()) == len(views)
+    assert sum(rig.quality.views_used.values()) == len(views)
     assert alignment_mm(rig, recording) < MAX_MM[method]
 
 
@@ -145,7 +146,7 @@ def test_a_board_133_px_off_does_not_matter(run, three, tmp_path):
     write_corners(corners, views)
     rig = calibrated(run, replace(three, corners=corners), tmp_path / "rig.yaml")
     assert alignment_mm(rig, three) < MAX_MM["bundle"]
-    dropped = {**rig.quality["views_not_associated"], **rig.quality["dropped"]}
+    dropped = {**rig.quality.views_not_associated, **rig.quality.dropped}
     assert views[at].frame in dropped["C2"]
 
 
@@ -193,7 +194,7 @@ def test_refine_is_judged_in_millimetres(run, three, tmp_path):
     out = run("refine", c, *given, "-o", tmp_path / "right.yaml")
     assert out.status == 0 and "Verdict: Good" in out.stderr
     quality = read_rig(tmp_path / "right.yaml").quality
-    assert 1 < quality["working_distance_m"] < 3 and quality["expected_alignment"]["of"].startswith("poses alone")
+    assert 1 < quality.working_distance_m < 3 and quality.expected_alignment.of is Counted.POSES
     head, *rows = c.read_text().splitlines()
     at = head.split(",").index("x_m")
     spoilt = [row.split(",") for row in rows]
@@ -203,14 +204,14 @@ def test_refine_is_judged_in_millimetres(run, three, tmp_path):
     (tmp_path / "spoilt.csv").write_text("\n".join([head, *map(",".join, spoilt)]) + "\n")
     out = run("refine", tmp_path / "spoilt.csv", *given, "-o", tmp_path / "wrong.yaml")
     assert out.status == 0 and "Verdict: " in out.stderr and "Verdict: Good" not in out.stderr
-    assert read_rig(tmp_path / "wrong.yaml").quality["alignment_on_recording"]["all"]["median_mm"] > 6
+    assert read_rig(tmp_path / "wrong.yaml").quality.alignment_on_recording.all.median_mm > 6
 
 
 def test_colour_alone_gets_pixels_and_millimetres_at_the_board(run, tmp_path):
     recording = make_recording(tmp_path, arc(3), color_only=["C1", "C2", "C3"])
     rig = calibrated(run, recording, tmp_path / "rig.yaml")
-    measured = rig.quality["alignment_on_recording"]["all"]
-    assert 0 < measured["median_px"] < 1 and 0 < measured["median_board_mm"] < 3 and "median_mm" not in measured
+    measured = rig.quality.alignment_on_recording.all
+    assert 0 < measured.median_px < 1 and 0 < measured.median_board_mm < 3 and measured.median_mm is None
 
 
 @pytest.mark.parametrize("method", ["init", "ba", "icp", "baicp+"])
@@ -232,9 +233,9 @@ def test_known_sigmas_and_a_config_file(run, three, tmp_path):
     config.write_text("method: biobjective\nreference: C2\nrefinement: {sigma_2d_px: 0.1}\n")
     rig = calibrated(run, three, tmp_path / "rig.yaml", "--config", config, "--sigma-3d", "0.003")
     assert rig.reference == "C2"
-    assert rig.quality["sigma_2d_px"] == 0.1
-    assert rig.quality["sigma_3d_m"] == 0.003
-    assert rig.quality["w"] == pytest.approx(2 * 0.003**2 / 0.1**2)  # eq. 4.5
+    assert rig.quality.sigma_2d_px == 0.1
+    assert rig.quality.sigma_3d_m == 0.003
+    assert rig.quality.w == pytest.approx(2 * 0.003**2 / 0.1**2)  # eq. 4.5
     assert rig.provenance["config"]["refinement"]["sigma_3d_m"] == 0.003
 
 

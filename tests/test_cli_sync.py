@@ -11,6 +11,7 @@ import pytest
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_timing, write_rig
 from rgbd_calib.io.tables import read_table, write_table
+from rgbd_calib.quality import Quality
 from rgbd_calib.simulation.clocks import WaveParams
 from rgbd_calib.simulation.session import draw_scene
 from rgbd_calib.simulation.wave import WaveSession, film_wave, write_wave
@@ -45,7 +46,7 @@ def timing(wave) -> tuple:
         recording, folder / "wave.csv", settings.detect, None, lambda items, total, what: iter(items)
     )
     result = sync(recording, read_rig(folder / "rig.yaml"), found, settings)
-    write_timing(folder / "timing.yaml", result.reference, result.clocks, {}, {})
+    write_timing(folder / "timing.yaml", result.reference, result.clocks, Quality(), {})
     return folder / "timing.yaml", result
 
 

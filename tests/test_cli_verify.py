@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from qualities import expected
 from small_recording import FOCAL_PX, HEIGHT, WIDTH, camera_pose, draw_recording
 
 from rgbd_calib.geometry import se3
@@ -19,6 +20,7 @@ from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_boards, read_rig, write_intrinsics, write_rig
 from rgbd_calib.pipeline.detection import detect
 from rgbd_calib.pipeline.workers import Workers
+from rgbd_calib.quality import Quality
 from rgbd_calib.types import Rig, RigCamera
 from rgbd_calib.views.detect import DetectParams
 
@@ -36,7 +38,10 @@ def drawn(tmp_path_factory):
         f"C{i + 1}": RigCamera(LENS, camera_pose(i, 3), SD if i else np.zeros((6, 6)), None, {"sigma_2d_px": 0.1})
         for i in range(3)
     }
-    write_rig(folder / "rig.yaml", Rig("C1", cameras, {"views": 3, "expected_alignment": {"mean_mm": 1}}, {"seed": 0}))
+    write_rig(
+        folder / "rig.yaml",
+        Rig("C1", cameras, Quality(expected_alignment=expected(1.0), other={"views": 3}), {"seed": 0}),
+    )
     write_intrinsics(folder / "intrinsics.yaml", dict.fromkeys(cameras, LENS), {}, {}, {})
     return folder
 
@@ -127,9 +132,9 @@ def test_update_poses_one_camera_and_leaves_every_other_byte(run, drawn, tmp_pat
     # 5 standard deviations, and 1 mm and 0.05 degrees for what drawing leaves on the pixels
     assert np.all(np.abs(error) < 5 * sd + [1e-3] * 6)
     assert updated.cameras[name].intrinsics == LENS
-    assert "expected_alignment" not in updated.quality
-    (told,) = updated.quality["updates"]
-    assert told["camera"] == name and told["moved_mm"] == pytest.approx(50, abs=1.5)
+    assert updated.quality.expected_alignment is None
+    (told,) = updated.quality.updates
+    assert told.camera == name and told.moved_mm == pytest.approx(50, abs=1.5)
     assert run("verify", tmp_path / "new.yaml", *arguments(drawn)).status == 0
 
 
@@ -138,7 +143,7 @@ def test_update_again_keeps_the_first_report(run, drawn, tmp_path):
         source = tmp_path / "rig.yaml" if name == "C3" else drawn / "rig.yaml"
         args = ("--update", source, "--only", name, "-o", tmp_path / "rig.yaml", "--overwrite")
         assert run("calibrate", *arguments(drawn), *args).status == 0
-    assert [u["camera"] for u in read_rig(tmp_path / "rig.yaml").quality["updates"]] == ["C2", "C3"]
+    assert [u.camera for u in read_rig(tmp_path / "rig.yaml").quality.updates] == ["C2", "C3"]
 
 
 def test_update_adds_a_camera_that_the_rig_lacks(run, drawn, tmp_path):
@@ -217,7 +222,7 @@ def test_a_finished_rig_moves_into_the_boards_world(run, drawn, tmp_path):
     moved, boards = read_rig(tmp_path / "w.yaml"), read_boards(tmp_path / "w.yaml")
     assert np.allclose(boards["000002"], np.eye(4), atol=1e-12)
     check_world(moved, boards, read_rig(drawn / "rig.yaml"))
-    assert moved.quality["world"] == "board:000002"
+    assert moved.quality.world == "board:000002"
     assert run("verify", tmp_path / "w.yaml", *arguments(drawn)).status == 0
 
 

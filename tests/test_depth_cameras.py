@@ -190,7 +190,7 @@ def test_a_real_kinect_v2_alone_is_a_rig_of_one(kinect2: Path) -> None:
     # its board looks the same after a half turn: colour and infrared stand within a degree or two in all pairs
     angle = np.arccos((np.trace(depth.T_color_depth[:3, :3]) - 1) / 2)
     assert angle < np.radians(2)
-    assert rig.quality["views_used"] == {"kinect2": 21, "kinect2/depth": 21}
+    assert rig.quality.views_used == {"kinect2": 21, "kinect2/depth": 21}
     assert depth.covariance is not None and depth.covariance.shape == (10, 10)
 
 

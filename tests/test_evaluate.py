@@ -63,9 +63,9 @@ def test_a_camera_moved_by_5_mm_shows_5_mm():
     assert result.poses["C2"].relative_translation == pytest.approx(0.005 / baseline)
     assert result.poses["C2"].rotation_rad == pytest.approx(0, abs=1e-7)
     summary = result.summary()
-    assert summary["pairs"]["C1 - C2"]["mean_mm"] == pytest.approx(5.0)
-    assert summary["poses"]["C2"]["translation_mm"] == pytest.approx(5.0)
-    assert sum(n["points"] for n in summary["by_distance"].values()) == summary["all"]["points"]
+    assert summary.pairs["C1 - C2"].mean_mm == pytest.approx(5.0)
+    assert summary.poses["C2"].translation_mm == pytest.approx(5.0)
+    assert sum(n.points for n in summary.by_distance.values()) == summary.all.points
 
 
 def test_a_turned_camera_shows_its_angle():
@@ -138,8 +138,8 @@ def test_colour_only_views_have_a_transfer_error_alone():
     rng = np.random.default_rng(4)
     views = [without_depth(v) for v in true_views(RIG, BOARDS, BOARD, EXACT, rng)]
     summary = against_views(RIG, placed_truly(RIG, BOARDS, views, BOARD), BOARD).summary()
-    assert summary["all"]["points"] == 0
-    assert summary["all"]["median_px"] < 1e-6
+    assert summary.all.points == 0
+    assert summary.all.median_px < 1e-6
 
 
 def test_nothing_in_common():

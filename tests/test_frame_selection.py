@@ -100,18 +100,18 @@ def test_the_command_says_what_is_lost_and_it_is_so(long, run, tmp_path):
         told[name] = run("calibrate", long.path, *sources, *options, "-o", tmp_path / f"{name}.yaml")
         assert told[name].status == 0, told[name].stderr
     few, whole = read_rig(tmp_path / "few.yaml"), read_rig(tmp_path / "all.yaml")
-    assert "frame_selection" not in whole.quality and "most informative" not in told["all"].stderr
-    own = few.quality["frame_selection"]
-    assert (own["frames"], own["used"], len(own["left_out"])) == (FRAMES, FEW, FRAMES - FEW)
-    assert all(count <= FEW for count in few.quality["views_used"].values())
+    assert whole.quality.frame_selection is None and "most informative" not in told["all"].stderr
+    own = few.quality.frame_selection
+    assert (own.frames, own.used, len(own.left_out)) == (FRAMES, FEW, FRAMES - FEW)
+    assert all(count <= FEW for count in few.quality.views_used.values())
     assert f"{FEW} of {FRAMES} frames used, the most informative: expected error" in told["few"].stderr
     # the estimate for all takes the same sigmas; those of few frames are known to a tenth, and a part of the expectation
     # does not fall with the number of frames
-    expected_mm = whole.quality["expected_alignment"]["mean_mm"]
-    assert 0.6 * expected_mm < own["expected_mm_with_all"] < 1.3 * expected_mm
-    assert own["expected_mm"] == pytest.approx(few.quality["expected_alignment"]["mean_mm"], abs=1e-3)
+    expected_mm = whole.quality.expected_alignment.mean_mm
+    assert 0.6 * expected_mm < own.expected_mm_with_all < 1.3 * expected_mm
+    assert own.expected_mm == pytest.approx(few.quality.expected_alignment.mean_mm, abs=1e-3)
     error_mm = 1e3 * float(against_truth(few, long.rig, long.boards, BOARD).distance_m.mean())
-    assert error_mm < 4 * own["expected_mm"]  # the mean over a volume of one draw: a few numbers' worth of chance
+    assert error_mm < 4 * own.expected_mm  # the mean over a volume of one draw: a few numbers' worth of chance
 
 
 def test_too_few_and_wrong_company_are_errors(long, run, tmp_path):

@@ -24,7 +24,7 @@ from rgbd_calib.io.folders import MARKER
 from rgbd_calib.io.growing_recording import CameraImages, GrowingRecording
 from rgbd_calib.io.images import write_image
 from rgbd_calib.io.pictures import write_picture
-from rgbd_calib.io.residuals import HASH_KEY, Residuals, read_residuals_of, residuals_path, write_result
+from rgbd_calib.io.residuals import Residuals, read_residuals_of, residuals_path, write_result
 from rgbd_calib.io.rig import read_rig, write_rig
 from rgbd_calib.io.tables import write_table
 from rgbd_calib.pipeline.fuse import write_ply
@@ -252,7 +252,7 @@ def test_a_rig_and_its_residuals_belong_together(tmp_path):
     path = tmp_path / "rig.yaml"
     write_result(path, a_rig, {}, residuals)
     rig = read_rig(path)
-    assert len(rig.quality[HASH_KEY]) == 64
+    assert len(rig.quality.residuals_sha256) == 64
     found = read_residuals_of(path, rig)
     assert found is not None and found.camera.tolist() == ["C1"]
     text = residuals_path(path).read_text()

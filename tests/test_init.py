@@ -549,7 +549,7 @@ def test_the_step_of_floating_point_depth_is_no_metre(run, drawn, tmp_path):
         done = run("calibrate", recording, "-o", tmp_path / f"{name}.yaml")
         assert done.status == 0, done.stderr
         rigs[name] = read_rig(tmp_path / f"{name}.yaml")
-    mean_mm = {name: rig.quality["expected_alignment"]["mean_mm"] for name, rig in rigs.items()}
+    mean_mm = {name: rig.quality.expected_alignment.mean_mm for name, rig in rigs.items()}
     assert mean_mm["float"] == pytest.approx(mean_mm["integer"], rel=0.05)
 
 

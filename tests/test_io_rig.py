@@ -21,6 +21,7 @@ from rgbd_calib.io.rig import (
     write_intrinsics,
     write_rig,
 )
+from rgbd_calib.quality import Quality
 from rgbd_calib.types import DepthBias, Rig, RigCamera
 
 LENS = Intrinsics(640, 480, 571.2, 569.8, 318.4, 243.2, (0.06, -0.11, 0.0008, -0.0013, 0.045))
@@ -38,7 +39,7 @@ def a_rig(seed=0):
             L @ L.T * 1e-7,
         ),
     }
-    return Rig("C1", cameras, {"rms_px": 0.3, "dropped": {"C1": ["000003"]}}, {"seed": 4})
+    return Rig("C1", cameras, Quality(dropped={"C1": {"000003": "blurred"}}, other={"rms_px": 0.3}), {"seed": 4})
 
 
 @settings(max_examples=30)

@@ -15,6 +15,7 @@ from small_recording import FOCAL_PX, HEIGHT, WIDTH, draw_recording
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.plain import plain, to_json, to_json_in_html
 from rgbd_calib.io.rig import write_rig
+from rgbd_calib.quality import Quality
 
 HOSTILE = "<!--<script>"
 
@@ -42,7 +43,7 @@ def test_text_for_a_script_element():
 
 
 def test_a_rig_with_nan_is_exported(run, tiny, tmp_path):
-    bad = replace(tiny.rig, quality={"rms_px": math.nan})
+    bad = replace(tiny.rig, quality=Quality(other={"rms_px": math.nan}))
     write_rig(tmp_path / "rig.yaml", bad)
     assert run("export", tmp_path / "rig.yaml", "--to", "json", tmp_path / "rig.json").status == 0
     assert strict((tmp_path / "rig.json").read_text())["quality"] == {"rms_px": None}

@@ -6,18 +6,21 @@ import base64
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from qualities import measured, quality
 from small_recording import FOCAL_PX, HEIGHT, WIDTH, draw_recording
 
 from rgbd_calib.cli.main import cli
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.residuals import Residuals, read_residuals, residuals_path, write_residuals
-from rgbd_calib.io.rig import board_in, read_boards, read_rig, write_intrinsics
+from rgbd_calib.io.rig import read_boards, read_rig, write_intrinsics
+from rgbd_calib.quality import Counted, PairViews, Quality
 from rgbd_calib.report import numbers
 from rgbd_calib.trust.verdict import VerdictLimits, judge, limits_in
 
@@ -146,7 +149,7 @@ def test_residuals_beside_the_rig_are_those_of_its_boards(calibrated):
 
     rig, boards = read_rig(calibrated / "rig.yaml"), read_boards(calibrated / "rig.yaml")
     left = read_residuals(residuals_path(calibrated / "rig.yaml"))
-    board = board_in(rig.quality)
+    board = rig.quality.board
     assert left.used_pixel.sum() > 0.9 * len(left.camera) > 0
     for name, own in rig.cameras.items():
         for frame, T in boards.items():
@@ -215,12 +218,7 @@ def test_report_of_a_rig_that_says_nothing_of_itself(tiny, tmp_path, run):
     ],
 )
 def test_the_worse_of_expected_and_measured_decides(expected, measured, level):
-    pairs = {"C1 - C2": {"mean_mm": expected}}
-    quality = {
-        "expected_alignment": {"mean_mm": expected, "of": "poses, intrinsics, depth bias", "pairs": pairs},
-        "alignment_on_recording": {"all": {"median_mm": measured}},
-    }
-    verdict = judge(quality, ())
+    verdict = judge(quality(expected, measured), ())
     assert verdict.level == level
     assert verdict.headline.startswith(level.capitalize())
     assert f"{expected:.1f} mm" in verdict.headline
@@ -229,29 +227,25 @@ def test_the_worse_of_expected_and_measured_decides(expected, measured, level):
 
 @pytest.mark.parametrize(("distance_m", "level"), [(0.5, "fair"), (1.0, "good"), (4.0, "good")])
 def test_limits_are_shares_of_the_working_distance_and_are_said(distance_m, level):
-    expected = {"mean_mm": 1.5, "of": "poses, intrinsics, depth bias", "pairs": {"C1 - C2": {"mean_mm": 1.5}}}
-    verdict = judge({"expected_alignment": expected, "working_distance_m": distance_m}, ())
+    verdict = judge(replace(quality(1.5, None), working_distance_m=distance_m), ())
     assert verdict.level == level
     assert any(f"working distance of {distance_m:.1f} m: good up to" in reason for reason in verdict.reasons)
     strict = limits_in({"config": {"verdict": {"good_share": 1e-5, "fair_share": 2e-5, "other": "x"}}})
-    assert judge({"expected_alignment": expected}, (), None, strict).level == "poor"
+    assert judge(quality(1.5, None), (), None, strict).level == "poor"
 
 
 def test_colour_alone_is_judged_by_pixels_at_the_board():
-    measured = {"all": {"median_px": 0.2, "median_board_mm": 0.4}}
-    verdict = judge({"alignment_on_recording": measured, "working_distance_m": 2.0}, ())
+    near = measured(median_px=0.2, median_board_mm=0.4)
+    verdict = judge(Quality(alignment_on_recording=near, working_distance_m=2.0), ())
     assert verdict.level == "good" and "0.40 mm apart at the board" in verdict.headline
     assert any("0.20 px off" in reason for reason in verdict.reasons)
-    bad = {"all": {"median_px": 9.0, "median_board_mm": 40.0}}
-    assert judge({"alignment_on_recording": bad}, ()).level == "poor"
+    far = measured(median_px=9.0, median_board_mm=40.0)
+    assert judge(Quality(alignment_on_recording=far), ()).level == "poor"
 
 
 def test_a_camera_on_a_thread_is_fair_at_best():
-    quality = {
-        "alignment_on_recording": {"all": {"median_mm": 1.0}},
-        "pairs": [{"cameras": ["C1", "C2"], "agreeing": 9}, {"cameras": ["C2", "C3"], "agreeing": 2}],
-    }
-    verdict = judge(quality, ("C3: 2 views, 8 needed: show it more poses",))
+    pairs = (PairViews(("C1", "C2"), 9, 9), PairViews(("C2", "C3"), 2, 2))
+    verdict = judge(replace(quality(None, 1.0), pairs=pairs), ("C3: 2 views, 8 needed: show it more poses",))
     assert verdict.level == "fair"
     assert any("C3 is tied to the rig by 2" in reason for reason in verdict.reasons)
     assert any("C3: 2 views" in step for step in verdict.next_steps)
@@ -308,12 +302,9 @@ def test_cells_of_the_image_hold_their_mean():
 
 
 def test_poses_alone_are_called_a_lower_bound_and_no_covariance_is_fair_at_best():
-    pairs = {"C1 - C2": {"mean_mm": 0.1}}
-    expected = {"mean_mm": 0.1, "of": "poses alone; intrinsics and depth taken as exact", "pairs": pairs}
-    measured = {"all": {"median_mm": 4.0}}
-    verdict = judge({"expected_alignment": expected, "alignment_on_recording": measured}, ())
+    verdict = judge(quality(0.1, 4.0, Counted.POSES), ())
     assert verdict.level == "good"
     assert "4.0 mm" in verdict.headline and "0.10 mm" not in verdict.headline
     assert any("the real error is larger" in reason for reason in verdict.reasons)
-    assert judge({"alignment_on_recording": measured}, ()).level == "fair"
-    assert judge({}, ()).level == "unknown"
+    assert judge(quality(None, 4.0), ()).level == "fair"
+    assert judge(Quality(), ()).level == "unknown"

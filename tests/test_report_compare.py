@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from qualities import expected, grid_of
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.rig import write_rig
+from rgbd_calib.quality import Counted, Quality
 from rgbd_calib.report.compare import Comparison, compare
 from rgbd_calib.trust.verdict import Verdict
 from rgbd_calib.types import DepthBias, Rig, RigCamera
@@ -27,14 +29,13 @@ T_C2 = se3.make(so3.exp(np.array([0.1, -0.4, 0.05])), np.array([0.6, 0.1, -0.2])
 def rig(T_C2_pose: np.ndarray = T_C2, mean_mm: float = 1.0, **options) -> Rig:
     """C1 and C2, a volume before both."""
     points = [[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (1.5, 2.0)]
-    grid = {"points_in_reference_m": points, "error_mm": [1.0] * len(points)}
-    expected = {"of": "poses", "mean_mm": mean_mm, "p95_mm": 2 * mean_mm, "worst_mm": 3 * mean_mm, "grid": grid}
+    stated = expected(mean_mm, grid=grid_of(points, [1.0] * len(points)))
     bias = DepthBias((0.0, 0.0), 0.5, 4.0, 0.001)
     cameras = {
         "C1": RigCamera(LENS, np.eye(4), np.zeros((6, 6)), bias, {"intrinsics_sd": [0.3] * 9}),
         "C2": RigCamera(LENS, T_C2_pose, COVARIANCE, bias, {"intrinsics_sd": [0.4] * 9}),
     }
-    return replace(Rig("C1", cameras, {"expected_alignment": expected}, {}), **options)
+    return replace(Rig("C1", cameras, Quality(expected_alignment=stated), {}), **options)
 
 
 def with_images(own: Rig, *digests: str) -> Rig:
@@ -144,9 +145,9 @@ def test_which_is_better(means, verdicts, said):
 
 def test_expected_errors_of_different_contents_are_not_compared():
     other = rig()
-    assert "not known" in of(other, replace(other, quality={})).sentence
-    expected = other.quality["expected_alignment"] | {"of": "poses alone"}
-    assert "counts poses" in of(other, replace(other, quality={"expected_alignment": expected})).sentence
+    assert "not known" in of(other, replace(other, quality=Quality())).sentence
+    poses = Quality(expected_alignment=expected(1.0, Counted.POSES))
+    assert "counts poses" in of(other, replace(other, quality=poses)).sentence
 
 
 def test_cameras_of_one_alone_are_named_and_none_in_common_is_refused():

@@ -9,12 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
+from qualities import expected, grid_of
 
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.depth_error import PolynomialField
 from rgbd_calib.io.residuals import Residuals
 from rgbd_calib.pipeline.view_pictures import view_pictures
+from rgbd_calib.quality import BiasSamples, PairViews, Quality
 from rgbd_calib.report import camera_pages, coverage_map, dependence, error_map, frames, numbers, print_map
 from rgbd_calib.report import view_pictures as pictures
 from rgbd_calib.report.numbers import Sensor
@@ -47,21 +49,19 @@ def residuals(rows: list[tuple]) -> Residuals:
 # expected error in the volume
 
 
-def quality_of(error: np.ndarray) -> dict:
+def quality_of(error: np.ndarray, order: np.ndarray | slice = slice(None)) -> Quality:
     """Error on a grid x 0, 1; y 0, 1, 2; z 1, 2, 3, 4, where it is finite."""
     at = [[i, j, k] for i, j, k in np.argwhere(np.isfinite(error))]
-    points = [[float(i), float(j), float(k + 1)] for i, j, k in at]
-    return {
-        "expected_alignment": {"grid": {"points_in_reference_m": points, "error_mm": [error[tuple(a)] for a in at]}}
-    }
+    points = np.array([[float(i), float(j), float(k + 1)] for i, j, k in at])
+    errors = np.array([error[tuple(a)] for a in at])
+    return Quality(expected_alignment=expected(1.0, grid=grid_of(points[order], errors[order])))
 
 
 def test_the_error_map_has_each_error_at_its_place():
     error = np.arange(24.0).reshape(2, 3, 4) / 4
     error[1, 2, 3] = NAN
-    shuffled = quality_of(error)["expected_alignment"]["grid"]
     order = np.random.default_rng(0).permutation(23)
-    grid = error_map.grid_of({"expected_alignment": {"grid": {k: [v[i] for i in order] for k, v in shuffled.items()}}})
+    grid = error_map.grid_of(quality_of(error, order))
     np.testing.assert_array_equal(grid.error_mm, error)
     np.testing.assert_array_equal(grid.z_m, [1, 2, 3, 4])
     # of 23 values 0, 0.25, ..., 5.5: 3 are at most 0.5, 5 at most 1, 9 at most 2, 21 at most 5
@@ -80,9 +80,9 @@ def test_a_few_enormous_errors_do_not_make_the_rest_look_good():
 
 
 def test_no_map_is_made_of_points_that_are_no_grid():
-    points = np.random.default_rng(0).random((100, 3)).tolist()
-    odd = {"expected_alignment": {"grid": {"points_in_reference_m": points, "error_mm": [1.0] * 100}}}
-    assert error_map.grid_of(odd) is None and error_map.grid_of({}) is None
+    points = np.random.default_rng(0).random((100, 3))
+    odd = Quality(expected_alignment=expected(1.0, grid=grid_of(points, np.ones(100))))
+    assert error_map.grid_of(odd) is None and error_map.grid_of(Quality()) is None
 
 
 # residuals against what they may depend on
@@ -302,7 +302,8 @@ def test_the_table_of_frames_says_what_became_of_every_view():
             ("C2", "1", (1, 1), (0.1, 0.1), NAN, NAN, True, False),
         ]
     )
-    quality = {"dropped": {"C1": {"3": "RMS is 9 times the median"}}, "views_not_associated": {"C2": {"2": "no pose"}}}
+    gross, lost = {"C1": {"3": "RMS is 9 times the median"}}, {"C2": {"2": "no pose"}}
+    quality = Quality(dropped=gross, views_not_associated=lost)
     images = {"images_sha256": {"C1": {"0": "x", "1": "x", "2": "x", "3": "x"}}}
     found = frames.table(left, quality, images, ["C1", "C2", "C3"])
     assert found.cameras == ("C1", "C2") and found.more == 0
@@ -319,7 +320,7 @@ def test_the_table_of_frames_says_what_became_of_every_view():
 def test_of_too_many_frames_those_with_a_fault_are_listed(monkeypatch):
     monkeypatch.setattr(frames, "MAX_ROWS", 3)
     rows = [("C1", f"{i}", (1, 1), (0.1, 0.1), NAN, NAN, i != 4, False) for i in range(6)]
-    found = frames.table(residuals(rows), {}, {}, ["C1"])
+    found = frames.table(residuals(rows), Quality(), {}, ["C1"])
     assert [frame for frame, _ in found.rows] == ["4"] and found.more == 5
 
 
@@ -397,7 +398,7 @@ def test_registration_is_the_shift_of_the_depth_image():
 def test_the_bias_curve_and_the_boards_on_it():
     bias = DepthBias((0.01, 0.0), 1.0, 3.0, 0.001)
     left = residuals([("C1", str(z), (1, 1), (0, 0), z, 0.002, True, True) for z in (1.0, 2.0)])
-    drawn = camera_pages.depth_bias(bias, {"z_m": [1.5], "z_true_m": [1.52]}, left, 0)
+    drawn = camera_pages.depth_bias(bias, BiasSamples(np.array([1.5]), np.array([1.52])), left, 0)
     by_name = {t["name"]: t for t in drawn["data"]}
     np.testing.assert_allclose(by_name["correction"]["y"], 10.0)
     assert by_name["bias recording"]["y"] == [20.0]
@@ -456,8 +457,7 @@ EVIL = "</script><img src=x onerror=alert(1)>"
 def evil() -> Contents:
     own = two_cameras(0.5)
     cameras = {EVIL: own.cameras["C1"], "C2": own.cameras["C2"]}
-    pair = {"cameras": [EVIL, "C2"], "common_frames": 3, "agreeing": 3}
-    quality = {"pairs": [pair], "dropped": {EVIL: {EVIL: EVIL}}, "method": EVIL}
+    quality = Quality(method=EVIL, dropped={EVIL: {EVIL: EVIL}}, pairs=(PairViews((EVIL, "C2"), 3, 3),))
     left = residuals([(EVIL, EVIL, (9, 9), (0.1, 0.1), 2.0, 0.001, True, True) for _ in range(9)])
     rig = Rig(EVIL, cameras, quality, {"recording": EVIL, "command": EVIL, "config": {EVIL: EVIL}})
     image = np.zeros((50, 50, 3), np.uint8)

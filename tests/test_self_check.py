@@ -402,8 +402,8 @@ def test_strict_exits_with_one_and_the_rig_is_there(run, wrong_square, tmp_path)
     cause = next(line for line in lines if "Do not trust this" in line).split("Do not trust this. ")[1]
     assert out.stderr.count(cause) == 1
     rig = read_rig(tmp_path / "rig.yaml")
-    assert rig.quality["self_check"]["trusted"] is False
-    assert any(f["level"] == "distrust" for f in rig.quality["self_check"]["findings"])
+    assert rig.quality.self_check.trusted is False
+    assert any(f.level == "distrust" for f in rig.quality.self_check.findings)
     assert judge(rig.quality, ()).level == "untrusted"
     assert "Do not trust this" in render(Contents("rig.yaml", rig, {}, None))
 
@@ -456,6 +456,6 @@ def test_a_check_that_cannot_be_made_is_not_passed(monkeypatch):
 
     monkeypatch.setattr("rgbd_calib.trust.self_check.calibration.outcomes_of", singular)
     nothing = AssociationResult((), {}, {}, (), "C1")
-    quality = of_calibration(result, None, [], nothing, sv.BOARD, frames, 0.0, PARAMS)
-    assert quality["self_check"]["trusted"] is False
-    assert "could not be checked" in quality["self_check"]["findings"][0]["text"]
+    check = of_calibration(result, None, [], nothing, sv.BOARD, frames, 0.0, PARAMS)
+    assert check.trusted is False
+    assert "could not be checked" in check.findings[0].text

@@ -6,6 +6,7 @@ import numpy as np
 
 from rgbd_calib.cli.options import progress
 from rgbd_calib.io.recording import open_recording
+from rgbd_calib.quality import Quality
 from rgbd_calib.simulation.realism import IDEAL, Realism
 from rgbd_calib.simulation.recording import SimulationParams, simulate
 from rgbd_calib.simulation.session import draw_scene, film
@@ -22,7 +23,7 @@ def test_ideal_sessions_are_what_they_were():
         np.testing.assert_allclose(session.close[0].corners_px[-1], [458.7368753830742, 429.81420362362877], atol=1e-9)
         np.testing.assert_allclose(session.walls["C2"][3], [1.4966926160998157, 1.5, 0.000675], atol=1e-12)
         assert session.wall_cells is None
-        assert session.truth.quality == {}
+        assert session.truth.quality == Quality()
 
 
 def test_ideal_images_are_what_they_were(tmp_path):

@@ -13,7 +13,6 @@ from rgbd_calib.geometry import se3
 from rgbd_calib.io.files import load_yaml
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_boards, read_rig
-from rgbd_calib.io.schema_parts import BoardShapeModel
 from rgbd_calib.simulation import board as boards
 from rgbd_calib.simulation import rig as rigs
 from rgbd_calib.simulation.bent import bent_faces
@@ -178,7 +177,7 @@ def test_a_field_and_a_bias_are_taken_off_again():
 
 def test_depth_images_are_what_the_true_sensor_reports(small):
     rig, T_world_board = read_rig(small / "truth.yaml"), read_boards(small / "truth.yaml")
-    shape = BoardShapeModel.model_validate(rig.quality["board"]["shape"]).value()
+    shape = rig.quality.board_shape
     recording, seen = open_recording(small / "extrinsic"), 0
     for name, own in rig.cameras.items():
         sensor = own.depth_sensor
@@ -206,8 +205,8 @@ def test_walls_are_planes_where_the_truth_says_and_distances_are_taped(small):
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2).astype(float)
     for name, own in rig.cameras.items():
         written = recording.distances_m(name)
-        for frame, wall in rig.quality["walls"][name].items():
-            normal = np.array(wall["normal"])
+        for frame, wall in rig.quality.walls[name].items():
+            normal = wall.normal
             assert np.arccos(normal[2]) <= np.radians(2.0)
             z_m = recording.depth_m(name, frame)[v, u].ravel()
             off = own.depth_sensor.points(pixels, z_m) @ normal - normal[2] * wall["distance_m"]

@@ -13,7 +13,7 @@ from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import LENS_KINDS, Intrinsics, fold_radius
 from rgbd_calib.io.files import load_yaml
 from rgbd_calib.io.rig import read_boards, read_rig
-from rgbd_calib.io.schema_parts import BoardShapeModel, DepthCameraModel
+from rgbd_calib.io.schema_parts import DepthCameraModel
 from rgbd_calib.simulation.color_sensor import ColorNoise, Optics, develop
 from rgbd_calib.simulation.depth_field import reported, stereo
 from rgbd_calib.simulation.depth_sensor import STEREO
@@ -78,7 +78,7 @@ def test_depth_cameras_stand_beside_the_colour_camera(size):
 def test_unregistered_depth_and_infrared_are_what_the_true_camera_sees(kinects):
     rig, T_world_board = read_rig(kinects / "truth.yaml"), read_boards(kinects / "truth.yaml")
     assert [len(own.intrinsics.distortion) for own in rig.cameras.values()] == [8, 4]
-    shape = BoardShapeModel.model_validate(rig.quality["board"]["shape"]).value()
+    shape = rig.quality.board_shape
     errors_px, seen = [], 0
     for name, own in rig.cameras.items():
         sensor = own.depth_sensor
@@ -95,7 +95,7 @@ def test_unregistered_depth_and_infrared_are_what_the_true_camera_sees(kinects):
             p = sensor.points(np.stack([u, v], axis=1).astype(float), depth_raw[v, u] / 1000)
             # the drift is along the ray
             eye = sensor.camera.T_color_depth[:3, 3]
-            drift_m = rig.quality["depth_drift"][name][path.stem]
+            drift_m = rig.quality.depth_drift[name][path.stem]
             p -= (p - eye) * drift_m / np.linalg.norm(p - eye, axis=1, keepdims=True)
             # millimetres are rounded, 0.29 mm along the ray, and the plate is bent by a mm over half a metre
             off_m = se3.transform(se3.inverse(T_color_board), p)[:, 2] - corners[:, 2]
@@ -125,7 +125,7 @@ def test_datasets_state_the_factorys_idea_of_the_depth_camera(kinects):
 
 
 def test_depth_drifts_towards_its_warm_state(kinects):
-    drift = read_rig(kinects / "truth.yaml").quality["depth_drift"]["C1"]
+    drift = read_rig(kinects / "truth.yaml").quality.depth_drift["C1"]
     cold, during, warm = abs(drift["101000"]), abs(drift["000002"]), abs(drift["201000"])
     assert cold > during > warm > 0
 

@@ -36,7 +36,7 @@ def bumped(tmp_path_factory):
 
 def test_the_truth_maps_new_points_onto_the_old_scene(bumped):
     truth = read_rig(bumped / "truth.yaml")
-    T_old_new = np.array(truth.quality["snapshot"]["T_old_new"]["C2"])
+    T_old_new = np.array(truth.quality.snapshot.T_old_new["C2"])
     assert np.allclose(T_old_new[:3, 3], [0.020, 0, -0.010])
     assert np.degrees(np.arccos((np.trace(T_old_new[:3, :3]) - 1) / 2)) == pytest.approx(1.5)
     old, new = (open_recording(bumped / state) for state in ("old", "new"))
@@ -60,8 +60,8 @@ def lens_points(sensor, depth_m):
 
 def test_the_rig_is_that_of_the_same_seed_and_what_stayed_is_said(bumped):
     truth = read_rig(bumped / "truth.yaml")
-    assert truth.quality["snapshot"]["moved"] == ["C2"]
-    assert 0 <= truth.quality["snapshot"]["changed_share"]["C1"] < 0.5
+    assert truth.quality.snapshot.moved == ["C2"]
+    assert 0 <= truth.quality.snapshot.changed_share["C1"] < 0.5
     same = true_rig_of(SimulationParams(cameras=2, width=160, height=120, bias=False)).intrinsics["C1"]
     assert np.allclose(truth.cameras["C1"].intrinsics.vector, same.vector)
 
@@ -101,7 +101,7 @@ def test_wrong_options_are_refused(run, tmp_path, options, words):
 def test_the_command_writes_both_snapshots(run, tmp_path):
     result = run("simulate", tmp_path / "x", "--snapshot", "--move", "C2:20,0,-10,0,1.5,0", "--light", "0.5", *SMALL)
     assert result.status == 0 and "changed: C1 0 %" in result.stderr
-    truth = read_rig(tmp_path / "x" / "truth.yaml").quality["snapshot"]
-    assert np.allclose(truth["T_old_new"]["C2"], se3.retract(np.eye(4), MOVED))
+    truth = read_rig(tmp_path / "x" / "truth.yaml").quality.snapshot
+    assert np.allclose(truth.T_old_new["C2"], se3.retract(np.eye(4), MOVED))
     for state in ("old", "new"):
         assert len(open_recording(tmp_path / "x" / state).depth_files["C2"]) == 2

@@ -212,7 +212,7 @@ def test_verify_names_the_camera_and_its_motion(run, bumped):
     assert result.status == 1 and numbers["moved"] == ["C2"] and not numbers["holds"]
     own = numbers["cameras"]["C2"]
     assert own["moved"] and abs(own["shift_mm"] - 10.77) < 4 * own["shift_sd_mm"] + 0.2
-    T_true = np.array(read_rig(rig).quality["snapshot"]["T_old_new"]["C2"])
+    T_true = np.array(read_rig(rig).quality.snapshot.T_old_new["C2"])
     assert np.allclose(own["T_old_new"], T_true, atol=0.002)
     text = run("verify", rig, new, "--snapshot", old)
     assert text.status == 1 and "MOVED" in text.stdout and "FAIL: C2 moved" in text.stdout
@@ -225,7 +225,7 @@ def test_an_update_corrects_the_camera_that_moved_and_grows_its_covariance(run, 
     result = run("calibrate", new, "--update", rig, "--snapshot", old, "-o", out)
     assert result.status == 0 and "C2: corrected" in result.stdout
     before, after = read_rig(rig), read_rig(out)
-    T_true = before.cameras["C2"].T_world_color @ np.array(before.quality["snapshot"]["T_old_new"]["C2"])
+    T_true = before.cameras["C2"].T_world_color @ np.array(before.quality.snapshot.T_old_new["C2"])
     points = working_points(before.cameras["C2"].intrinsics, 2.0)
     apart = se3.transform(T_true, points) - se3.transform(after.cameras["C2"].T_world_color, points)
     assert np.sqrt(np.mean(np.sum(apart**2, axis=1))) < 0.002

@@ -18,12 +18,13 @@ from typing import Literal
 
 import numpy as np
 
-from rgbd_calib.cameras.lens_choice import LensChoice, best, choose
+from rgbd_calib.cameras.lens_choice import best, choose
 from rgbd_calib.cameras.zhang import ZhangSolution, information, solve
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry.camera import Intrinsics, LensKind
 from rgbd_calib.geometry.selection import most_informative
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.quality import LensChoice
 from rgbd_calib.types import Board, BoardView
 
 MAX_RELATIVE_SD = 0.05

@@ -6,8 +6,7 @@ to some of the views, and judged by the others, each posed by it. A kind that fo
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -16,6 +15,7 @@ from rgbd_calib.cameras.zhang import ZhangSolution, solve, view_rms_px
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry.camera import Intrinsics, LensKind
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.quality import LensChoice
 from rgbd_calib.types import Board, BoardView
 
 SIMPLEST_FIRST: tuple[LensKind, ...] = ("brown", "fisheye", "rational")
@@ -27,24 +27,6 @@ WORTH: dict[LensKind, float] = {"fisheye": 0.95, "rational": 0.9}
 differently; the rational lens has coefficients that nearly cancel each other."""
 SURE = 2.0
 """Standard errors by which another kind must be better."""
-
-
-@dataclass(frozen=True)
-class LensChoice:
-    """A kind of lens, and why."""
-
-    kind: LensKind
-    held_out_px: Mapping[LensKind, float | None]
-    """RMS of views held out, in the median, None of a lens that cannot be inverted in its image; empty where no other kind had
-    to be tried."""
-
-    @property
-    def sentence(self) -> str:
-        """Why, for people; empty where nothing was to choose."""
-        if not self.held_out_px:
-            return ""
-        each = (f"{kind} {'not invertible' if px is None else f'{px:.3f} px'}" for kind, px in self.held_out_px.items())
-        return f"lens {self.kind}; RMS of views held out: {', '.join(each)}"
 
 
 def choose(views: Sequence[BoardView], board: Board, size: tuple[int, int]) -> tuple[LensChoice, ZhangSolution]:

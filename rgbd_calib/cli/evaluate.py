@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from rgbd_calib.cli.options import config_option, corners_option, progress, show, workers_options
 
 if TYPE_CHECKING:
+    from rgbd_calib.pipeline.clouds import CloudAlignment
     from rgbd_calib.pipeline.workers import Workers
+    from rgbd_calib.quality import AlignmentNumbers
 
 
 @click.command()
@@ -73,39 +75,35 @@ def command(
     if as_json:
         show(to_json(summary, indent=2))
         return
-    for name, error in summary.get("poses", {}).items():
+    for name, error in (summary.poses or {}).items():
         show(
-            f"{name}: rotation {error['rotation_deg']:.4f}°, translation {error['translation_mm']:.3f} mm "
-            f"({100 * error['relative_translation']:.3f} %)"
+            f"{name}: rotation {error.rotation_deg:.4f}°, translation {error.translation_mm:.3f} mm "
+            f"({100 * error.relative_translation:.3f} %)"
         )
-    for part in ("by_distance", "pairs"):
-        for name, numbers in summary[part].items():
-            show(f"{name}: {_line(numbers)}")
-    show(f"alignment: {_line(summary['all'])}")
+    for name, numbers in (*summary.by_distance.items(), *summary.pairs.items(), ("alignment", summary.all)):
+        show(f"{name}: {_line(numbers)}")
 
 
-def _tell_clouds(summary: dict[str, Any], as_json: bool) -> None:
+def _tell_clouds(summary: CloudAlignment, as_json: bool) -> None:
     from rgbd_calib.io.plain import to_json
 
     if as_json:
         show(to_json(summary, indent=2))
         return
-    for name, own in (summary["pairs"] | {"all pairs": summary["all"]}).items():
-        error = f"{own['error_mm']:.2f} mm RMS without noise, " if "error_mm" in own else ""
+    for name, own in (*summary.pairs.items(), ("all pairs", summary.all)):
+        error = f"{own.error_mm:.2f} mm RMS without noise, " if own.error_mm is not None else ""
         show(
-            f"{name}: {error}{own['rms_mm']:.2f} mm RMS and {own['median_mm']:.2f} mm in the median with it; {own['patches']} patches, "
-            f"{100 * own['overlap_share']:.0f} % of the surfaces in common"
+            f"{name}: {error}{own.rms_mm:.2f} mm RMS and {own.median_mm:.2f} mm in the median with it; {own.patches} patches, "
+            f"{100 * own.overlap_share:.0f} % of the surfaces in common"
         )
-    if summary["without_overlap"]:
-        show(f"no surfaces in common: {', '.join(summary['without_overlap'])}")
+    if summary.without_overlap:
+        show(f"no surfaces in common: {', '.join(summary.without_overlap)}")
 
 
-def _line(numbers: dict[str, Any]) -> str:
+def _line(own: AlignmentNumbers) -> str:
     parts = []
-    if "mean_mm" in numbers:
-        parts.append(
-            f"mean {numbers['mean_mm']:.3f} mm, median {numbers['median_mm']:.3f} mm, 95 % below {numbers['p95_mm']:.3f} mm"
-        )
-    if "median_px" in numbers:
-        parts.append(f"transfer {numbers['median_px']:.3f} px in the median")
-    return "; ".join([*parts, f"{numbers['points']} points"])
+    if own.mean_mm is not None:
+        parts.append(f"mean {own.mean_mm:.3f} mm, median {own.median_mm:.3f} mm, 95 % below {own.p95_mm:.3f} mm")
+    if own.median_px is not None:
+        parts.append(f"transfer {own.median_px:.3f} px in the median")
+    return "; ".join([*parts, f"{own.points} points"])

@@ -75,7 +75,7 @@ def command(
             "view_rms_px": result.view_rms_px,
             "dropped": result.dropped,
             "not_needed": len(result.not_needed),
-            "lens": asdict(result.choice),
+            "lens": result.choice,
         }
         for name, result in results.items()
     }

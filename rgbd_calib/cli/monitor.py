@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,6 +14,7 @@ from rgbd_calib.errors import CalibrationError, ConfigError
 
 if TYPE_CHECKING:
     from rgbd_calib.io.recording import Recording
+    from rgbd_calib.pipeline.monitor import Round
     from rgbd_calib.types import CameraSnapshot, Rig
 
 
@@ -134,7 +135,7 @@ def command(
     stop, failures, drifting, each = threading.Event(), 0, False, None
     with stopping_on_signals(stop):
         for each in monitor.watch(rig, before, source, params, stop.wait):
-            failures += each.numbers is None
+            failures += each.verdict is None
             line = to_json(each.line())
             show(line if as_json else _told(each))
             if metrics is not None:
@@ -151,14 +152,16 @@ def command(
     return int(drifting)
 
 
-def _told(each: Any) -> str:
-    if each.numbers is None:
+def _told(each: Round) -> str:
+    from rgbd_calib.pipeline.snapshot import sentence
+
+    if each.verdict is None:
         return f"{each.time} failed: {each.problem}"
     cameras = ", ".join(
-        f"{name} {own['displacement_mm']:.2f} ± {own['displacement_sd_mm']:.2f} mm"
-        for name, own in each.numbers["cameras"].items()
+        f"{name} {1e3 * own.displacement_m:.2f} ± {1e3 * own.displacement_sd_m:.2f} mm"
+        for name, own in each.verdict.cameras.items()
     )
-    return f"{each.time} {'DRIFT' if each.drift else each.status}: {cameras or each.numbers['verdict']}"
+    return f"{each.time} {'DRIFT' if each.drift else each.status}: {cameras or sentence(each.verdict)}"
 
 
 def _run(program: list[str], line: str) -> None:

@@ -93,7 +93,7 @@ def command(
     verdict = verdict_of(rig, None)
     say(f"Verdict: {verdict}", always=verdict.level in ("poor", "untrusted"))
     give(numbers_of(rig, verdict, None))
-    for own in rig.quality.get("self_check", {}).get("findings", []):
-        say(f"  {own['text']}. {own['advice']}.")
+    for own in rig.quality.self_check.findings if rig.quality.self_check is not None else ():
+        say(f"  {own.text}. {own.advice}.")
     if strict and verdict.level == "untrusted":
         click.get_current_context().exit(1)

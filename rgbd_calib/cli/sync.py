@@ -99,15 +99,13 @@ def command(
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.detection import detections_from
     from rgbd_calib.pipeline.sync import sync
+    from rgbd_calib.quality import Quality
 
     settings, known = load_config(config), read_rig(rig)
     found = detections_from(opened, corners, settings.detect, workers, progress)
     result = sync(opened, known, found, settings)
-    quality = {
-        "message": result.message,
-        "views_used": result.views,
-        "left_out": {f"{camera} {frame}": why for (camera, frame), why in result.left_out.items()},
-    }
+    left_out = {f"{camera} {frame}": why for (camera, frame), why in result.left_out.items()}
+    quality = Quality(message=result.message, views_used=result.views, left_out=left_out)
     provenance = {**provenance_of(settings), "recording": str(recording), "rig": str(rig)}
     write_timing(output, result.reference, result.clocks, quality, provenance)
     for remark in result.remarks:
@@ -122,8 +120,10 @@ def command(
             "reference": result.reference,
             "clocks": {name: asdict(clock) for name, clock in result.clocks.items()},
             "remarks": list(result.remarks),
+            "message": result.message,
+            "views_used": result.views,
+            "left_out": left_out,
         }
-        | quality
     )
 
 

@@ -70,18 +70,16 @@ def update(
         )
         provenance = {"only": only, **provenance_of(settings), "recording": str(recording)}
         write_update(rig_path, output, only, result.entry, result.report, provenance)
-        for view, why in result.report["left_out"].items():
+        own = result.report
+        for view, why in (own.left_out or {}).items():
             say(f"{view} left out: {why}")
-        if "moved_mm" in result.report:
-            show(
-                f"{only}: moved by {result.report['moved_mm']:.2f} mm and {result.report['turned_deg']:.3f}°, "
-                f"posed by {result.report['views']} views"
-            )
+        if own.moved_mm is not None:
+            show(f"{only}: moved by {own.moved_mm:.2f} mm and {own.turned_deg:.3f}°, posed by {own.views} views")
         else:
-            show(f"{only}: added by {result.report['views']} views")
-        for pair, numbers in result.report["alignment"].items():
-            if "median_mm" in numbers:
-                show(f"{pair}: {numbers['median_mm']:.2f} mm apart in the median, including single-reading depth noise")
+            show(f"{only}: added by {own.views} views")
+        for pair, numbers in (own.alignment or {}).items():
+            if numbers.median_mm is not None:
+                show(f"{pair}: {numbers.median_mm:.2f} mm apart in the median, including single-reading depth noise")
     say(f"Wrote {output}")
 
 
@@ -94,14 +92,13 @@ def _by_snapshot(
     from rgbd_calib.io.rig_update import write_updates
     from rgbd_calib.pipeline.calibrate import provenance_of
     from rgbd_calib.pipeline.config import load_config
-    from rgbd_calib.pipeline.snapshot import corrected_by, summary, verify_snapshot
+    from rgbd_calib.pipeline.snapshot import corrected_by, verify_snapshot
     from rgbd_calib.trust.snapshot import SnapshotParams
 
     rig, old = read_rig(rig_path), open_recording(snapshot)
     new = open_recording(recording)
     verdict = verify_snapshot(rig, new, old, SnapshotParams())
-    numbers = summary(verdict)
-    for line in snapshot_table(numbers):
+    for line in snapshot_table(verdict):
         show(line)
     changes = corrected_by(rig, verdict, new, old)
     provenance = {
@@ -111,7 +108,7 @@ def _by_snapshot(
     }
     write_updates(rig_path, output, changes, {name: provenance | {"only": name} for name in changes})
     for name, (_, report) in changes.items():
-        show(f"{name}: corrected by {report['moved_mm']:.2f} mm and {report['turned_deg']:.3f}°")
+        show(f"{name}: corrected by {report.moved_mm:.2f} mm and {report.turned_deg:.3f}°")
     if not changes:
         show("No camera moved against the others: the poses stay as they are")
     say(f"Wrote {output}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -11,7 +11,9 @@ from rgbd_calib.cli.options import Number, config_option, corners_option, progre
 
 if TYPE_CHECKING:
     from rgbd_calib.io.recording import Recording
+    from rgbd_calib.pipeline.verify import Verification
     from rgbd_calib.pipeline.workers import Workers
+    from rgbd_calib.trust.snapshot.rig import RigVerdict
     from rgbd_calib.types import Rig
 
 
@@ -77,17 +79,16 @@ def command(
       rgbd-calib verify rig.yaml monday --snapshot friday
       rgbd-calib verify rig.yaml monday || rgbd-calib calibrate monday --update rig.yaml --only C3 -o rig2.yaml
     """
+    from rgbd_calib import api
     from rgbd_calib.io.plain import to_json
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.io.rig import read_rig
     from rgbd_calib.io.snapshot import kept_beside
+    from rgbd_calib.pipeline import snapshot as snapshots
+    from rgbd_calib.pipeline import verify as boards
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.depth_cameras import split
-    from rgbd_calib.pipeline.detection import detections_from
-    from rgbd_calib.pipeline.held_out_frames import frames_of_calibration, refuse_nothing_new
     from rgbd_calib.pipeline.rig_inputs import left_out
-    from rgbd_calib.pipeline.verify import summary, verify
-    from rgbd_calib.trust.displacement import VerdictParams
 
     rig, opened, settings = read_rig(rig_path), split(open_recording(recording)), load_config(config)
     if left_out(opened, rig):
@@ -95,72 +96,73 @@ def command(
     kept = kept_beside(rig_path)
     if snapshot is None and opened.board is None and kept.is_dir():
         snapshot = kept
-    numbers: dict[str, Any] = {}
+    holds, numbers = True, {}
     if snapshot is not None:
-        numbers = _against_snapshot(rig, opened, snapshot, max_mm, distance, as_json)
-    if snapshot is None or opened.board is not None:
-        used = frames_of_calibration(rig, opened)
-        refuse_nothing_new(rig, opened, used)
-        if used:
-            say(f"Held out: {len(used)} of {len(opened.frames)} frames, which the rig was calibrated from")
-        found = detections_from(opened, corners, settings.detect, workers, progress)
-        new = [view for view in found.views if view.frame not in used]
-        by_board = summary(verify(rig, opened, new, settings, VerdictParams(max_m=max_mm / 1e3)))
+        verdict = _against_snapshot(rig, opened, snapshot, max_mm, distance)
+        holds, numbers = verdict.holds, snapshots.summary(verdict)
         if not as_json:
-            _tell(by_board)
-        numbers = by_board if snapshot is None else numbers | {"by_board": by_board}
+            for line in snapshot_table(verdict):
+                show(line)
+            show(snapshots.sentence(verdict))
+    if snapshot is None or opened.board is not None:
+        found = api.verify(
+            rig, opened, max_mm=max_mm, corners=corners, config=settings, workers=workers, progress=progress
+        )
+        if not as_json:
+            _tell(found)
+        by_board = boards.summary(found)
+        holds, numbers = holds and found.holds, by_board if snapshot is None else numbers | {"by_board": by_board}
     if as_json:
         show(to_json(numbers, indent=2))
-    return 0 if numbers["holds"] and numbers.get("by_board", {"holds": True})["holds"] else 1
+    return 0 if holds else 1
 
 
-def _against_snapshot(
-    rig: Rig, opened: Recording, snapshot: Path, max_mm: float, distance_m: float, quiet: bool
-) -> dict[str, Any]:
+def _against_snapshot(rig: Rig, opened: Recording, snapshot: Path, max_mm: float, distance_m: float) -> RigVerdict:
     from rgbd_calib.io.recording import open_recording
-    from rgbd_calib.pipeline.snapshot import summary, verify_snapshot
+    from rgbd_calib.pipeline.snapshot import verify_snapshot
     from rgbd_calib.trust.displacement import VerdictParams
     from rgbd_calib.trust.snapshot import SnapshotParams
 
     if opened.path.samefile(snapshot):
         say(f"{opened.path}: is the old snapshot itself, which any rig passes")
     params = SnapshotParams(distance_m, VerdictParams(max_m=max_mm / 1e3))
-    numbers = summary(verify_snapshot(rig, opened, open_recording(snapshot), params))
-    if not quiet:
-        for line in snapshot_table(numbers):
-            show(line)
-        show(numbers["verdict"])
-    return numbers
+    return verify_snapshot(rig, opened, open_recording(snapshot), params)
 
 
-def snapshot_table(numbers: dict[str, Any]) -> list[str]:
+def snapshot_table(verdict: RigVerdict) -> list[str]:
     """A line for each camera."""
-    at = f"at {numbers['distance_m']:g} m"
+    from math import degrees
+
+    from rgbd_calib.trust.snapshot import drift_sentence
+
     lines = []
-    for name, own in numbers["cameras"].items():
-        mark = "  MOVED" if own["moved"] else ""
+    for name, own in verdict.cameras.items():
         lines.append(
-            f"{name}: {own['displacement_mm']:.2f} ± {own['displacement_sd_mm']:.2f} mm {at} "
-            f"({own['shift_mm']:.2f} ± {own['shift_sd_mm']:.2f} mm, {own['turn_deg']:.3f} ± {own['turn_sd_deg']:.3f}°); "
-            f"{100 * own['unchanged_share']:.0f} % of the scene unchanged{mark}"
+            f"{name}: {1e3 * own.displacement_m:.2f} ± {1e3 * own.displacement_sd_m:.2f} mm at {verdict.params.distance_m:g} m "
+            f"({1e3 * own.shift_m:.2f} ± {1e3 * own.shift_sd_m:.2f} mm, {degrees(own.turn_rad):.3f} ± "
+            f"{degrees(own.turn_sd_rad):.3f}°); {100 * own.motion.unchanged_share:.0f} % of the scene unchanged"
+            + ("  MOVED" if own.moved else "")
         )
-        if own["depth_drift"]:
-            lines.append(f"{name}: {own['depth_drift']}")
-    lines += [f"{name}: undetermined: {why}" for name, why in numbers["undetermined"].items()]
-    lines += [f"{name}: not checked: no colour and depth in both snapshots" for name in numbers["not_checked"]]
+        if drift := drift_sentence(own.motion.motion):
+            lines.append(f"{name}: {drift}")
+    lines += [f"{name}: undetermined: {why}" for name, why in verdict.undetermined.items()]
+    lines += [f"{name}: not checked: no colour and depth in both snapshots" for name in verdict.missing]
     return lines
 
 
-def _tell(numbers: dict[str, Any]) -> None:
-    for name, pair in numbers["pairs"].items():
-        mark = "  OFF" if pair["off"] else ""
-        show(f"{name}: {pair['error_mm']:.2f} ± {pair['noise_mm']:.2f} mm{mark}")
-    for name in numbers["moved"]:
-        own = numbers["cameras"][name]
+def _tell(found: Verification) -> None:
+    from math import degrees
+
+    for pair in found.verdict.pairs:
+        mark = "  OFF" if pair.broken else ""
+        show(f"{' - '.join(pair.cameras)}: {1e3 * pair.error_m:.2f} ± {1e3 * pair.noise_m:.2f} mm{mark}")
+    displacements = {own.camera: own for own in found.verdict.displacements}
+    for name in found.verdict.moved:
+        own = displacements[name]
         show(
-            f"{name} moved: {own['shift_mm']:.2f} ± {own['shift_sd_mm']:.2f} mm, "
-            f"{own['turn_deg']:.3f} ± {own['turn_sd_deg']:.3f}° against the others"
+            f"{name} moved: {1e3 * own.shift_m:.2f} ± {1e3 * own.shift_sd_m:.2f} mm, "
+            f"{degrees(own.turn_rad):.3f} ± {degrees(own.turn_sd_rad):.3f}° against the others"
         )
-    for text in numbers["views_left_out"]:
-        say(text)
-    show(numbers["verdict"])
+    for (camera, frame), why in found.left_out.items():
+        say(f"{camera}: frame {frame} left out: {why}")
+    show(str(found))

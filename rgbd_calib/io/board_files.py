@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.files import load_yaml
-from rgbd_calib.io.rig import board_fields
+from rgbd_calib.io.quality import board_fields
 from rgbd_calib.io.schema_base import parse
 from rgbd_calib.io.schema_parts import BoardModel
 from rgbd_calib.io.tables import short

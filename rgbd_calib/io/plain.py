@@ -4,20 +4,29 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rgbd_calib.io.text import valid
+from rgbd_calib.quality import Record
 
 _UNSAFE_IN_SCRIPTS = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 """`<!--<script>` inside a script element hides its end; two line separators end a line of JavaScript before 2019."""
 
 
 def plain(value: Any) -> Any:
-    """The same value in YAML's own types: arrays become lists, numpy scalars numbers, paths text; all text is valid."""
-    if isinstance(value, dict):
+    """The same value in YAML's own types: arrays become lists, numpy scalars numbers, paths text; all text is valid.
+
+    Records become mappings, without what equals its default; of other data classes, without what is None.
+    """
+    if is_dataclass(value):
+        value = _mapping(value)
+    if isinstance(value, Mapping):
         return {valid(str(k)): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [plain(v) for v in value]
@@ -25,7 +34,17 @@ def plain(value: Any) -> Any:
         return value.tolist() if value.dtype.kind in "biuf" else plain(value.tolist())
     if isinstance(value, np.generic):
         return plain(value.item())
+    if isinstance(value, Enum):
+        return value.value
     return valid(str(value)) if isinstance(value, str | Path) else value
+
+
+def _mapping(value: Any) -> dict[str, Any]:
+    known = {f.name.rstrip("_"): (getattr(value, f.name), f) for f in fields(value) if f.default_factory is MISSING}
+    if not isinstance(value, Record):
+        return {key: own for key, (own, _) in known.items() if own is not None}
+    own = {key: own for key, (own, f) in known.items() if own is not f.default}
+    return own | {key: other for key, other in value.other.items() if key not in own}
 
 
 def to_json(value: Any, **options: Any) -> str:

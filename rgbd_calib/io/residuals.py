@@ -31,8 +31,6 @@ COLUMNS = (
     "residual_depth_m",
     "used",
 )
-HASH_KEY = "residuals_sha256"
-"""In a rig's quality: of the residuals that were written with it; null once the rig was updated without them."""
 _USED = {(True, True): "both", (True, False): "pixel", (False, True): "depth", (False, False): "none"}
 
 
@@ -82,7 +80,7 @@ def write_result(path: Path, rig: Rig, boards: Mapping[str, FloatArray], residua
     with whole_file(residuals_path(path)) as beside, whole_file(path) as main:
         fill_residuals(beside, residuals)
         digest = hashlib.sha256(beside.read_bytes()).hexdigest()
-        signed = replace(rig, quality=rig.quality | {HASH_KEY: digest})
+        signed = replace(rig, quality=replace(rig.quality, residuals_sha256=digest))
         main.write_text(dump_yaml(rig_data(signed, boards)), encoding="utf-8")
 
 
@@ -129,13 +127,14 @@ def read_residuals_of(path: Path, rig: Rig) -> Residuals | None:
         They belong to another rig, or cannot be read.
     """
     beside = residuals_path(path)
-    if not beside.exists() or rig.quality.get(HASH_KEY, "") is None:
+    stated = rig.quality.residuals_sha256
+    if not beside.exists() or stated is None:
         return None
-    if HASH_KEY in rig.quality:
+    if stated:
         seen = hashlib.sha256(read_bytes(beside, MAX_BYTES)).hexdigest()
-        if seen != rig.quality[HASH_KEY]:
+        if seen != stated:
             raise ConfigError(
-                f"{beside}: SHA-256 {seen[:12]}... seen, {path.name} was written with {short(rig.quality[HASH_KEY])}: the two are "
+                f"{beside}: SHA-256 {seen[:12]}... seen, {path.name} was written with {short(stated)}: the two are "
                 "of different calibrations, or one was changed. Calibrate again, or take the table away"
             )
     return read_residuals(beside)

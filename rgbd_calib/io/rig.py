@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,9 @@ from rgbd_calib.geometry import so3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import dump_yaml, load_yaml, write_text
+from rgbd_calib.io.quality import quality_data, quality_of
 from rgbd_calib.io.schema_base import parse
 from rgbd_calib.io.schema_parts import (
-    BoardModel,
-    BoardShapeModel,
     DepthBiasModel,
     DepthCameraModel,
     IntrinsicsModel,
@@ -25,7 +23,8 @@ from rgbd_calib.io.schema_parts import (
 )
 from rgbd_calib.io.schemas import ClockModel, RigModel
 from rgbd_calib.io.tables import short
-from rgbd_calib.types import Board, Clock, DepthBias, Rig, RigCamera
+from rgbd_calib.quality import BiasSamples, Quality
+from rgbd_calib.types import Clock, DepthBias, Rig, RigCamera
 
 _KNOWN = (
     "intrinsics",
@@ -51,7 +50,7 @@ def rig_data(rig: Rig, boards: Mapping[str, FloatArray] | None = None) -> dict[s
     data: dict[str, Any] = {"format": "rgbd-calib/rig", "version": 1, "reference": rig.reference, "cameras": cameras}
     if boards is not None:
         data["boards"] = dict(boards)
-    return data | {"quality": rig.quality, "provenance": rig.provenance}
+    return data | {"quality": quality_data(rig.quality), "provenance": rig.provenance}
 
 
 def write_intrinsics(
@@ -111,7 +110,7 @@ def read_rig(path: Path) -> Rig:
     reference = next(iter(cameras)) if model.reference is None else model.reference
     if reference not in cameras:
         raise ConfigError(f"{path}: reference: {short(reference)} seen, one of {', '.join(cameras)} needed")
-    return Rig(reference, cameras, model.quality, model.provenance)
+    return Rig(reference, cameras, quality_of(model.quality), model.provenance)
 
 
 def read_intrinsics(path: Path) -> dict[str, Intrinsics]:
@@ -138,10 +137,20 @@ def read_depth_bias(path: Path) -> dict[str, DepthBias]:
     return found
 
 
-def read_depth_bias_samples(path: Path) -> dict[str, Any]:
-    """By camera, `z_m`, `z_true_m` and `dropped`: the data that depth_bias.yaml was fitted to, where it has them."""
+def read_depth_bias_samples(path: Path) -> dict[str, BiasSamples]:
+    """The data that depth_bias.yaml was fitted to, by camera, where it has them.
+
+    Raises
+    ------
+    ConfigError
+        They are no such data.
+    """
     model = parse(RigModel, load_yaml(path), path)
-    return {name: own["samples"] for name, c in model.cameras.items() if "samples" in (own := c.model_dump())}
+    found = {name: own["samples"] for name, c in model.cameras.items() if "samples" in (own := c.model_dump())}
+    made = quality_of({"depth_bias_samples": found})
+    if made.faults:
+        raise ConfigError(f"{path}: {made.faults['depth_bias_samples']}. Make it again with `rgbd-calib depth-bias`")
+    return dict(made.depth_bias_samples or {})
 
 
 def read_boards(path: Path) -> dict[str, FloatArray]:
@@ -151,12 +160,13 @@ def read_boards(path: Path) -> dict[str, FloatArray]:
 
 
 def write_timing(
-    path: Path, reference: str, clocks: Mapping[str, Clock], quality: Mapping[str, Any], provenance: Mapping[str, Any]
+    path: Path, reference: str, clocks: Mapping[str, Clock], quality: Quality, provenance: Mapping[str, Any]
 ) -> None:
     """Write timing.yaml: a rig file with clocks alone."""
     head = {"format": "rgbd-calib/rig", "version": 1, "reference": reference}
     cameras = {name: {"clock": ClockModel.of(clock).model_dump()} for name, clock in clocks.items()}
-    write_text(path, dump_yaml(head | {"cameras": cameras, "quality": dict(quality), "provenance": dict(provenance)}))
+    data = head | {"cameras": cameras, "quality": quality_data(quality), "provenance": dict(provenance)}
+    write_text(path, dump_yaml(data))
 
 
 def read_timing(path: Path) -> tuple[str, dict[str, Clock]]:
@@ -198,34 +208,3 @@ def camera_entry(camera: RigCamera) -> dict[str, Any]:
 def _write_part(path: Path, cameras: dict[str, Any], quality: Mapping[str, Any], provenance: Mapping[str, Any]) -> None:
     head = {"format": "rgbd-calib/rig", "version": 1, "cameras": cameras}
     write_text(path, dump_yaml(head | {"quality": dict(quality), "provenance": dict(provenance)}))
-
-
-def board_data(board: Board) -> dict[str, Any]:
-    """A board as the `quality` of a rig holds it; its shape as solved."""
-    out = asdict(replace(board, shape=None))
-    del out["shape"]
-    return (
-        out if board.shape is None else {**out, "shape": BoardShapeModel.of(board.shape).model_dump(exclude_none=True)}
-    )
-
-
-def board_in(quality: Mapping[str, Any]) -> Board | None:
-    """What :func:`board_data` wrote; None where there is none, as in a simulation's truth.
-
-    Raises
-    ------
-    ValueError
-        It describes no board.
-    """
-    fields = board_fields(quality)
-    return None if fields is None else BoardModel.model_validate(fields).value()
-
-
-def board_fields(quality: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The same as a dataset's `board` has it, unchecked."""
-    own = quality.get("board")
-    if not isinstance(own, Mapping) or "cols" not in own:
-        return None
-    return {
-        name.removesuffix("_m"): value for name, value in own.items() if value or name not in ("marker_m", "dictionary")
-    }

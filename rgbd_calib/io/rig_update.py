@@ -13,17 +13,18 @@ from rgbd_calib.errors import ConfigError
 from rgbd_calib.io import safe_yaml
 from rgbd_calib.io.files import dump_yaml, load_yaml, write_text
 from rgbd_calib.io.reading import read_bytes
-from rgbd_calib.io.residuals import HASH_KEY
 from rgbd_calib.io.rig import camera_entry
 from rgbd_calib.io.safe_yaml import MAX_BYTES
+from rgbd_calib.quality import CameraUpdate
 from rgbd_calib.types import RigCamera
 
 STALE = ("alignment_on_recording", "expected_alignment")
 """Of a rig's quality: no longer true once a camera is changed."""
+_HASH = "residuals_sha256"
 
 
 def write_update(
-    source: Path, output: Path, name: str, camera: RigCamera, report: dict[str, Any], provenance: dict[str, Any]
+    source: Path, output: Path, name: str, camera: RigCamera, report: CameraUpdate, provenance: dict[str, Any]
 ) -> None:
     """Write the rig file `source` with another entry for camera `name` to `output`.
 
@@ -40,7 +41,7 @@ def write_update(
 def write_updates(
     source: Path,
     output: Path,
-    changes: Mapping[str, tuple[RigCamera, dict[str, Any]]],
+    changes: Mapping[str, tuple[RigCamera, CameraUpdate]],
     provenance: Mapping[str, dict[str, Any]],
 ) -> None:
     """The same for several cameras, or none: entry and report, and provenance, by camera."""
@@ -52,7 +53,7 @@ def write_updates(
 
 
 def _updated(
-    text: str, source: Path, name: str, camera: RigCamera, report: dict[str, Any], provenance: dict[str, Any]
+    text: str, source: Path, name: str, camera: RigCamera, report: CameraUpdate, provenance: dict[str, Any]
 ) -> str:
     """The text of a rig file with one entry changed; `source` is for messages."""
     data = safe_yaml.load(text)
@@ -76,8 +77,8 @@ def _updated(
     at = entries.get(name, (end, end))
     changes = [(at, new)]
     quality = {k: v for k, v in (data.get("quality") or {}).items() if k not in STALE}
-    if HASH_KEY in quality:
-        quality[HASH_KEY] = None
+    if _HASH in quality:
+        quality[_HASH] = None
     for key, value, added in (
         ("quality", quality, report),
         ("provenance", data.get("provenance") or {}, provenance),

@@ -19,14 +19,13 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import plain
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.residuals import Residuals
-from rgbd_calib.io.rig import board_data
 from rgbd_calib.pipeline import depth_cameras, details, frame_selection
 from rgbd_calib.pipeline.color_planes import color_plane_findings
 from rgbd_calib.pipeline.config import Config, as_plain
 from rgbd_calib.pipeline.depth_cameras import split
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.pipeline.evaluate import Evaluation, against_views
-from rgbd_calib.pipeline.judged_points import correspondences_quality
+from rgbd_calib.pipeline.judged_points import with_alignment
 from rgbd_calib.pipeline.prepare import (
     NO_DEPTH_SOURCE,
     DepthSource,
@@ -36,7 +35,7 @@ from rgbd_calib.pipeline.prepare import (
     resolve_depth,
     resolve_intrinsics,
 )
-from rgbd_calib.pipeline.quality import bundle_quality, common_quality, finite, refinement_quality, steps_of
+from rgbd_calib.pipeline.quality import bundle_quality, initial_quality, with_views
 from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.rig.biobjective import RefinementParams, RefinementResult, refine
 from rgbd_calib.rig.bundle import bundle, free_structure
@@ -138,12 +137,12 @@ def calibrate(
         boards = {}
         if config.method == "init":
             rig = _rig_of_poses(start.T_world_color, {}, views, reference)
-            quality = {"initialization": steps_of(start)}
+            quality = initial_quality(start)
         else:
             params = _refinement(config)
             solution = refined = refine(data, lenses, start.T_world_color, reference, params)
             rig = _rig_of_refinement(refined, views, reference)
-            quality = {"initialization": steps_of(start), **refinement_quality(refined)}
+            quality = initial_quality(start, refined)
             residuals = details.residuals_of_refinement(refined, data, views.association.views, board)
             joint = details.joint_of_refinement(refined)
     found = replace(board, shape=solution.board_shape) if isinstance(solution, Solution) else board
@@ -152,29 +151,38 @@ def calibrate(
     boards = boards or {p.view.frame: rig.cameras[p.view.camera].T_world_color @ p.T_color_board for p in placed}
     evaluation = against_views(rig, placed, found) if _common_frames(placed) else None
     residuals = residuals or details.residuals_of_rig(rig, placed, boards, board)
-    quality |= common_quality(recording, views, placed, evaluation)
-    quality |= details.starting_rig(
+    quality = with_views(quality, recording, views, placed, evaluation)
+    first = details.starting_rig(
         views.association.views, views.association.T_world_color, lenses, board, reference, config.initialization
     )
+    expected = None
     if joint is not None:
         with_depth = [name for name in cameras if recording.depth_files[name]]
         corners_m = np.concatenate([se3.transform(T, board.corners_m()) for T in boards.values()])
-        quality |= details.expectation(rig, joint, corners_m, with_depth)
-    if views.selection is not None:
-        quality |= views.selection.quality(quality.get("expected_alignment", {}).get("mean_mm"))
-    stated_mm = quality.get("expected_alignment", {}).get("mean_mm", 0.0)
-    quality |= self_check.of_calibration(
+        expected = details.expectation(rig, joint, corners_m, with_depth)
+    checked = self_check.of_calibration(
         solution,
         residuals,
         views.detections.views,
         views.association,
         board,
         recording.frames,
-        stated_mm,
+        0.0 if expected is None else expected.mean_mm,
         config.self_check,
         color_plane_findings(recording, board, views.detections.views),
     )
-    quality |= {"board": board_data(found), "depth_bias_samples": views.depth.samples}
+    measured = quality.alignment_on_recording
+    quality = replace(
+        quality,
+        method=config.method,
+        start=first,
+        expected_alignment=expected and replace(expected, pairs=depth_cameras.by_device(expected.pairs)),
+        alignment_on_recording=measured and replace(measured, pairs=depth_cameras.by_device(measured.pairs)),
+        frame_selection=None if views.selection is None else views.selection.quality(expected),
+        self_check=checked,
+        board=found,
+        depth_bias_samples=views.depth.samples,
+    )
     provenance = {
         **provenance_of(config),
         "recording": str(recording.path),
@@ -183,10 +191,7 @@ def calibrate(
         "intrinsics": views.lenses.origin,
         "depth_bias": views.depth.origin,
     }
-    rig = depth_cameras.joined(rig, recording.cameras, joint)
-    for key in {"expected_alignment", "alignment_on_recording"} & set(quality):
-        quality[key]["pairs"] = depth_cameras.by_device(quality[key]["pairs"])
-    rig = replace(rig, quality={"method": config.method, **plain(quality)}, provenance=provenance)
+    rig = replace(depth_cameras.joined(rig, recording.cameras, joint), quality=quality, provenance=provenance)
     return Calibration(rig, views, placed, data, boards, residuals, joint, evaluation)
 
 
@@ -289,18 +294,16 @@ def refine_correspondences(
     views = _no_views(lenses)
     if config.method == "init":
         rig = _rig_of_poses(start.T_world_color, {}, views, reference)
-        quality: dict[str, Any] = {"initialization": steps_of(start)}
-        refined = None
+        quality, refined = initial_quality(start), None
     else:
         params = _refinement(config)
         refined = refine(data, lenses.intrinsics, start.T_world_color, reference, params)
         rig = _rig_of_refinement(refined, views, reference)
-        quality = {"initialization": steps_of(start), **refinement_quality(refined)}
-        quality |= self_check.of_correspondences(refined, data, config.self_check)
-        quality |= correspondences_quality(rig, data, details.joint_of_refinement(refined))
-    if refined is None:
-        quality |= correspondences_quality(rig, data, None)
-    return replace(rig, quality={"method": config.method, **plain(quality)}), refined
+        checked = self_check.of_correspondences(refined, data, config.self_check)
+        quality = replace(initial_quality(start, refined), self_check=checked)
+    joint = None if refined is None else details.joint_of_refinement(refined)
+    quality = with_alignment(replace(quality, method=config.method), rig, data, joint)
+    return replace(rig, quality=quality), refined
 
 
 def pose_by_rig(rig: Rig, views: Sequence[PlacedView], board: Board, config: Config) -> tuple[PlacedView, ...]:
@@ -378,7 +381,8 @@ def _rig_of_refinement(refined: RefinementResult, views: Views, reference: str) 
     rig = _rig_of_poses(refined.T_world_color, refined.covariance, views, reference)
     cameras = {}
     for name, own in rig.cameras.items():
-        sigmas = finite({"sigma_2d_px": refined.sigmas_2d_px[name], "sigma_3d_m": refined.sigmas_3d_m[name]})
+        both = {"sigma_2d_px": refined.sigmas_2d_px[name], "sigma_3d_m": refined.sigmas_3d_m[name]}
+        sigmas = {key: sigma for key, sigma in both.items() if np.isfinite(sigma)}
         model = {"sigma_3d_model": "isotropic, for each coordinate"} if "sigma_3d_m" in sigmas else {}
         cameras[name] = replace(own, statistics={**sigmas, **model})
     return replace(rig, cameras=cameras)

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.blas import one_blas_thread
-from rgbd_calib.io.files import plain
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.residuals import Residuals
-from rgbd_calib.io.rig import board_data
 from rgbd_calib.pipeline import details
 from rgbd_calib.pipeline.calibrate import Calibration, Views, provenance_of, reference_of, rig_of_bundle
 from rgbd_calib.pipeline.carried_calibration import CarriedSolution, clock_quality, solve_carried
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
-from rgbd_calib.pipeline.quality import bundle_quality, common_quality
+from rgbd_calib.pipeline.quality import bundle_quality, with_views
 from rgbd_calib.pipeline.workers import Workers
+from rgbd_calib.quality import ExpectedAlignment, SelfCheck
 from rgbd_calib.rig.motion.estimate import frame_name
 from rgbd_calib.trust.self_check import calibration as self_check
 from rgbd_calib.types import Board
@@ -58,17 +55,18 @@ def calibrate_carried(
     views = Views(detections, own.lenses, own.depth, own.filtered, association)
     data = correspond(named, board, own.lenses.intrinsics, own.depth.biases, cameras)
     residuals, joint = details.residuals_of_bundle(solved, board), details.joint_of_bundle(solved)
-    found = replace(board, shape=solved.board_shape)
-    quality = {
-        **bundle_quality(solved),
-        **common_quality(recording, views, own.placed, None),
-        **clock_quality(own, reference),
-    }
     with_depth = [name for name in cameras if recording.depth_files[name]]
     corners_m = np.concatenate([se3.transform(T, board.corners_m()) for T in boards.values()])
-    quality |= details.expectation(rig, joint, corners_m, with_depth)
-    quality |= {"board": board_data(found), "depth_bias_samples": own.depth.samples}
-    quality |= _self_check(own, residuals, detections, board, quality, config)
+    expected = details.expectation(rig, joint, corners_m, with_depth)
+    quality = replace(
+        with_views(bundle_quality(solved), recording, views, own.placed, None),
+        method=config.method,
+        carried=clock_quality(own, reference),
+        expected_alignment=expected,
+        board=replace(board, shape=solved.board_shape),
+        depth_bias_samples=own.depth.samples,
+        self_check=_self_check(own, residuals, detections, board, expected, config),
+    )
     provenance = {
         **provenance_of(config),
         "recording": str(recording.path),
@@ -76,7 +74,7 @@ def calibrate_carried(
         "intrinsics": own.lenses.origin,
         "depth_bias": own.depth.origin,
     }
-    rig = replace(rig, quality={"method": config.method, **plain(quality)}, provenance=provenance)
+    rig = replace(rig, quality=quality, provenance=provenance)
     return Calibration(rig, views, named, data, boards, residuals, joint, None)
 
 
@@ -85,14 +83,14 @@ def _self_check(
     residuals: Residuals,
     detections: Detections,
     board: Board,
-    quality: Mapping[str, Any],
+    expected: ExpectedAlignment | None,
     config: Config,
-) -> dict[str, Any]:
+) -> SelfCheck:
     """As for still boards; each view is a frame, under the name that the solution has for it, in order of its estimated time."""
     left_out = {(camera, f"{camera} {frame}"): why for (camera, frame), why in own.start.left_out.items()}
     names = tuple(replace(v, frame=f"{v.camera} {v.frame}") for v in detections.views)
     association = replace(own.start.association, dropped=left_out)
-    stated_mm = quality.get("expected_alignment", {}).get("mean_mm", 0.0)
+    stated_mm = 0.0 if expected is None else expected.mean_mm
     return self_check.of_calibration(
         own.solution, residuals, names, association, board, own.frames_in_time(), stated_mm, config.self_check
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.so3 import FloatArray
@@ -15,6 +14,7 @@ from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, silent
 from rgbd_calib.pipeline.prepare import DepthSource, IntrinsicsSource, resolve_depth, resolve_intrinsics
 from rgbd_calib.pipeline.workers import Workers
+from rgbd_calib.quality import CarriedBoard
 from rgbd_calib.rig.motion.estimate import clock_of, estimate, frame_name
 from rgbd_calib.rig.observations import Walls
 from rgbd_calib.rig.solution import Solution
@@ -137,17 +137,15 @@ def _some(detections: Detections) -> Detections:
     return replace(detections, views=tuple(kept))
 
 
-def clock_quality(found: CarriedSolution, reference: str) -> dict[str, Any]:
+def clock_quality(found: CarriedSolution, reference: str) -> CarriedBoard:
     """What a rig file says of the clocks beyond their values."""
     problem = found.solution.problem
     jerk = getattr(problem, "jerk", None)
-    return {
-        "carried": {
-            "views": len(found.start.views),
-            "left_out": {f"{camera} {frame}": why for (camera, frame), why in sorted(found.start.left_out.items())},
-            "remarks": list(found.start.remarks),
-            "jerk_rad_per_s3": None if jerk is None else jerk[0],
-            "jerk_m_per_s3": None if jerk is None else jerk[1],
-            "reference": reference,
-        }
-    }
+    return CarriedBoard(
+        views=len(found.start.views),
+        left_out={f"{camera} {frame}": why for (camera, frame), why in sorted(found.start.left_out.items())},
+        remarks=tuple(found.start.remarks),
+        jerk_rad_per_s3=None if jerk is None else jerk[0],
+        jerk_m_per_s3=None if jerk is None else jerk[1],
+        reference=reference,
+    )

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,9 +25,30 @@ MOST_FRAMES = 5
 LEAST_PATCHES = 50
 
 
+@dataclass(frozen=True)
+class CloudNumbers:
+    """Of patches of surface that two cameras see: from one cloud to the other, point to plane."""
+
+    patches: int
+    median_mm: float
+    rms_mm: float
+    overlap_share: float
+    error_mm: float | None
+    """RMS without the noise of depth; None where that cannot be told."""
+
+
+@dataclass(frozen=True)
+class CloudAlignment:
+    """By pair of cameras, and all together."""
+
+    all: CloudNumbers
+    pairs: Mapping[str, CloudNumbers]
+    without_overlap: tuple[str, ...]
+
+
 @one_blas_thread
-def evaluate_clouds(rig_path: Path, path: Path) -> dict[str, Any]:
-    """Distances between the clouds of each pair of cameras, as plain numbers.
+def evaluate_clouds(rig_path: Path, path: Path) -> CloudAlignment:
+    """Distances between the clouds of each pair of cameras.
 
     Raises
     ------
@@ -60,11 +82,11 @@ def evaluate_clouds(rig_path: Path, path: Path) -> dict[str, Any]:
         np.concatenate([gap.products_m2 for gap in kept.values()]),
         float(np.mean([gap.share for gap in kept.values()])),
     )
-    return {
-        "all": _numbers(together),
-        "pairs": {" - ".join(pair): _numbers(gap) for pair, gap in kept.items()},
-        "without_overlap": [" - ".join(pair) for pair in pairs if pair not in kept],
-    }
+    return CloudAlignment(
+        _numbers(together),
+        {" - ".join(pair): _numbers(gap) for pair, gap in kept.items()},
+        tuple(" - ".join(pair) for pair in pairs if pair not in kept),
+    )
 
 
 def _instants(recording: Recording) -> list[list[str] | None]:
@@ -82,12 +104,7 @@ def _gap(rig: Rig, surfaces: dict[str, Surface], pair: tuple[str, str]) -> Cloud
     return cloud_gap(surfaces[a], surfaces[b], T_a_b).joined(cloud_gap(surfaces[b], surfaces[a], se3.inverse(T_a_b)))
 
 
-def _numbers(gap: CloudGap) -> dict[str, float]:
+def _numbers(gap: CloudGap) -> CloudNumbers:
     mm = 1e3 * np.abs(gap.distance_m)
-    out = {
-        "patches": len(mm),
-        "median_mm": float(np.median(mm)),
-        "rms_mm": float(np.sqrt(np.mean(mm**2))),
-        "overlap_share": gap.share,
-    }
-    return out if np.isnan(gap.error_m) else out | {"error_mm": 1e3 * gap.error_m}
+    rms_mm, error_mm = float(np.sqrt(np.mean(mm**2))), None if np.isnan(gap.error_m) else 1e3 * gap.error_m
+    return CloudNumbers(len(mm), float(np.median(mm)), rms_mm, gap.share, error_mm)

@@ -9,8 +9,8 @@ the two are one camera again.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import fields, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.dataset import CameraInfo, Mount
 from rgbd_calib.io.layout import KINDS, Files, Kind
 from rgbd_calib.io.recording import Recording
+from rgbd_calib.quality import AlignmentNumbers, ExpectedPair
 from rgbd_calib.trust.uncertainty import JointCovariance
 from rgbd_calib.types import Board, BoardView, DepthCamera, PlacedView, Rig, RigCamera
 from rgbd_calib.views.detect import corner_depth
@@ -27,6 +28,7 @@ from rgbd_calib.views.detect import corner_depth
 MIN_CORNERS = 6
 """Corners inside the depth image; a plane is determined by three."""
 NO_COVARIANCE = np.zeros((6, 6))
+PairNumbers = TypeVar("PairNumbers", ExpectedPair, AlignmentNumbers)
 
 
 def name_of(camera: str) -> str:
@@ -107,14 +109,17 @@ def _covariance(color: RigCamera, name: str, depth: str, joint: JointCovariance 
     return np.asarray(J @ joint.matrix[np.ix_(at, at)] @ J.T)
 
 
-def by_device(pairs: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+def by_device(pairs: Mapping[str, PairNumbers]) -> dict[str, PairNumbers]:
     """Numbers of pairs of cameras by the devices that these are of; of one device's own two sensors as they are."""
-    out: dict[str, dict[str, Any]] = {}
+    out: dict[str, PairNumbers] = {}
     for key, numbers in pairs.items():
         a, b = (name.removesuffix(name_of("")) for name in key.split(" - "))
         name = key if a == b else f"{a} - {b}"
-        if numbers.get("points", 1) or name not in out:
-            out[name] = {**out.get(name, {}), **numbers}
+        if name not in out:
+            out[name] = numbers
+        elif numbers.points:
+            stated = {f.name: own for f in fields(numbers) if (own := getattr(numbers, f.name)) is not None}
+            out[name] = replace(out[name], **stated)
     return out
 
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
 
 import cv2
 import numpy as np
@@ -16,6 +14,7 @@ from rgbd_calib.geometry import camera as lens
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.residuals import Residuals
+from rgbd_calib.quality import Counted, ExpectedAlignment, ExpectedGrid, ExpectedPair, StartingCamera, StartingRig
 from rgbd_calib.rig.biobjective import RefinementResult
 from rgbd_calib.rig.blocks import Scope
 from rgbd_calib.rig.initialization import InitializationParams, initialize
@@ -48,38 +47,30 @@ def joint_of_refinement(refined: RefinementResult) -> JointCovariance:
     return JointCovariance(refined.joint_covariance, parts)
 
 
-def expectation(rig: Rig, joint: JointCovariance, corners_m: FloatArray, cameras: Sequence[str]) -> dict[str, Any]:
-    """Expected alignment error as plain numbers; empty where no point of the box of `corners_m` is seen by two cameras.
-
-    The points are in the reference camera's frame, so that they hold in any world.
-    """
+def expectation(
+    rig: Rig, joint: JointCovariance, corners_m: FloatArray, cameras: Sequence[str]
+) -> ExpectedAlignment | None:
+    """Expected alignment error; None where no point of the box of `corners_m` is seen by two cameras."""
     expected = expected_alignment(rig, joint, volume(corners_m, GRID), cameras)
     if expected is None:
-        return {}
+        return None
     T_reference_world = se3.inverse(rig.cameras[rig.reference].T_world_color)
-    mean_mm = 1e3 * expected.mean_m
     in_all = np.concatenate([e[np.isfinite(e)] for e in expected.pairs.values()])
     only_poses = all(set(own) == {"pose"} for own in joint.parameters.values())
-    return {
-        "expected_alignment": {
-            "of": "poses alone; intrinsics and depth taken as exact" if only_poses else "poses, intrinsics, depth bias",
-            "mean_mm": round(float(1e3 * in_all.mean()), 3),
-            "p95_mm": round(float(1e3 * np.percentile(in_all, 95)), 3),
-            "worst_mm": round(float(1e3 * in_all.max()), 3),
-            "pairs": {
-                " - ".join(pair): {
-                    "points": int(np.isfinite(e).sum()),
-                    "mean_mm": round(float(1e3 * np.nanmean(e)), 3),
-                    "worst_mm": round(float(1e3 * np.nanmax(e)), 3),
-                }
-                for pair, e in expected.pairs.items()
-            },
-            "grid": {
-                "points_in_reference_m": np.round(se3.transform(T_reference_world, expected.points_m), 3),
-                "error_mm": np.round(mean_mm, 3),
-            },
-        }
+    pairs = {
+        " - ".join(pair): ExpectedPair(int(np.isfinite(e).sum()), _mm(np.nanmean(e)), _mm(np.nanmax(e)))
+        for pair, e in expected.pairs.items()
     }
+    grid = ExpectedGrid(
+        np.round(se3.transform(T_reference_world, expected.points_m), 3), np.round(1e3 * expected.mean_m, 3)
+    )
+    counted = Counted.POSES if only_poses else Counted.ALL
+    numbers = (_mm(in_all.mean()), _mm(np.percentile(in_all, 95)), _mm(in_all.max()))
+    return ExpectedAlignment(counted, *numbers, pairs, grid)
+
+
+def _mm(value_m: np.floating) -> float:
+    return round(float(1e3 * value_m), 3)
 
 
 def starting_rig(
@@ -89,15 +80,14 @@ def starting_rig(
     board: Board,
     reference: str,
     params: InitializationParams,
-) -> dict[str, Any]:
+) -> StartingRig:
     """The rig before: first poses from depth as measured, intrinsics as given; what the fused cloud would look like."""
     try:
         data = correspond(views, board, dict(intrinsics), {}, list(intrinsics))
         poses, how = initialize(data, dict(intrinsics), reference, params).T_world_color, "initialisation"
     except CalibrationError:
         poses, how = dict(rough), "single views of the board"
-    cameras = {name: {"T_world_color": poses[name], "intrinsics": asdict(own)} for name, own in intrinsics.items()}
-    return {"start": {"poses_from": how, "cameras": cameras}}
+    return StartingRig(how, {name: StartingCamera(poses[name], own) for name, own in intrinsics.items()})
 
 
 def residuals_of_bundle(solved: Solution, board: Board) -> Residuals:
@@ -153,7 +143,9 @@ def residuals_of_rig(
     return _of_views(views, board, lambda name: left[name])
 
 
-def _of_views(views: Sequence[PlacedView], board: Board, left: Any) -> Residuals:
+def _of_views(
+    views: Sequence[PlacedView], board: Board, left: Callable[[tuple[str, str, str]], tuple[FloatArray, float]]
+) -> Residuals:
     names = [(p.view.camera, p.view.frame, str(k)) for p in views for k in p.front_corner(board)]
     pairs = [left(name) for name in names]
     px, z = np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])

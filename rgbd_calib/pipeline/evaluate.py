@@ -7,10 +7,9 @@ pixel and its own depth, through its own intrinsics, depth bias and pose.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from rgbd_calib.pipeline.depth_cameras import predicted_views, split, split_rig
 from rgbd_calib.pipeline.detection import Progress, detections_from
 from rgbd_calib.pipeline.rig_inputs import board_for, common_cameras
 from rgbd_calib.pipeline.workers import Workers
+from rgbd_calib.quality import AlignmentNumbers, MeasuredAlignment, PoseNumbers
 from rgbd_calib.trust import uncertainty
 from rgbd_calib.types import Board, BoardView, PlacedView, Rig
 from rgbd_calib.views.association import label_views
@@ -76,26 +76,21 @@ class Evaluation:
         """Distances of all pairs together, metres."""
         return np.concatenate([pair.distance_m for pair in self.pairs])
 
-    def summary(self) -> dict[str, Any]:
-        """Plain numbers for people and files."""
+    def summary(self) -> MeasuredAlignment:
+        """Numbers for people and files."""
         transfer = [np.concatenate([getattr(p, key) for p in self.pairs]) for key in ("transfer_px", "transfer_m")]
-        out: dict[str, Any] = {"all": _numbers(self.distance_m, *transfer)}
-        out["pairs"] = {" - ".join(p.cameras): _numbers(p.distance_m, p.transfer_px, p.transfer_m) for p in self.pairs}
         depth = np.concatenate([pair.depth_m for pair in self.pairs])
         bins = np.floor(depth / BIN_M)
-        out["by_distance"] = {
-            f"{b * BIN_M:.1f}-{(b + 1) * BIN_M:.1f} m": _numbers(self.distance_m[bins == b]) for b in np.unique(bins)
+        poses = {
+            name: PoseNumbers(float(np.degrees(e.rotation_rad)), 1e3 * e.translation_m, e.relative_translation)
+            for name, e in self.poses.items()
         }
-        if self.poses:
-            out["poses"] = {
-                name: {
-                    "rotation_deg": float(np.degrees(e.rotation_rad)),
-                    "translation_mm": 1e3 * e.translation_m,
-                    "relative_translation": e.relative_translation,
-                }
-                for name, e in self.poses.items()
-            }
-        return out
+        return MeasuredAlignment(
+            _numbers(self.distance_m, *transfer),
+            {" - ".join(p.cameras): _numbers(p.distance_m, p.transfer_px, p.transfer_m) for p in self.pairs},
+            {f"{b * BIN_M:.1f}-{(b + 1) * BIN_M:.1f} m": _numbers(self.distance_m[bins == b]) for b in np.unique(bins)},
+            poses or None,
+        )
 
 
 def against_truth(rig: Rig, truth: Rig, boards: Mapping[str, FloatArray], board: Board | None) -> Evaluation:
@@ -162,7 +157,7 @@ def against_views(rig: Rig, placed: Sequence[PlacedView], board: Board) -> Evalu
 
 
 @one_blas_thread
-def evaluate_truth(rig: Path, truth: Path) -> dict[str, Any]:
+def evaluate_truth(rig: Path, truth: Path) -> MeasuredAlignment:
     """Summary of a rig file against a simulation's truth.yaml; the board is that of the recording beside it, of still frames or
     of a carried board."""
     beside = [path for name in ("extrinsic", "wave") if (path := truth.parent / name).is_dir()]
@@ -173,7 +168,7 @@ def evaluate_truth(rig: Path, truth: Path) -> dict[str, Any]:
 @one_blas_thread
 def evaluate_recording(
     rig_path: Path, path: Path, corners: Path | None, config: Config, workers: Workers | None, progress: Progress
-) -> dict[str, Any]:
+) -> MeasuredAlignment:
     """Summary of a rig file against a recording of the board."""
     recording = split(open_recording(path))
     rig = split_rig(read_rig(rig_path), recording)
@@ -202,15 +197,16 @@ def place_views(
 
 def _numbers(
     distance_m: FloatArray, transfer_px: FloatArray = _NONE, transfer_m: FloatArray = _NONE
-) -> dict[str, float]:
-    out: dict[str, float] = {"points": len(distance_m)}
+) -> AlignmentNumbers:
+    out = AlignmentNumbers(len(distance_m))
     if len(distance_m):
         mm = 1e3 * distance_m
-        out |= {"mean_mm": float(mm.mean()), "median_mm": float(np.median(mm)), "p95_mm": float(np.percentile(mm, 95))}
+        mean, median, p95 = float(mm.mean()), float(np.median(mm)), float(np.percentile(mm, 95))
+        out = replace(out, mean_mm=mean, median_mm=median, p95_mm=p95)
     if len(transfer_px):
-        out |= {"median_px": float(np.median(transfer_px)), "mean_px": float(transfer_px.mean())}
+        out = replace(out, median_px=float(np.median(transfer_px)), mean_px=float(transfer_px.mean()))
     if len(transfer_m):
-        out["median_board_mm"] = 1e3 * float(np.median(transfer_m))
+        out = replace(out, median_board_mm=1e3 * float(np.median(transfer_m)))
     return out
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.depth_cameras import without_corners
 from rgbd_calib.pipeline.prepare import DepthSource, IntrinsicsSource
+from rgbd_calib.quality import ExpectedAlignment, SelectedFrames
 from rgbd_calib.rig.blocks import Scope
 from rgbd_calib.rig.frame_selection import FrameChoice, choose_frames
 from rgbd_calib.rig.observations import Walls
@@ -38,34 +38,24 @@ class Selection:
     """Expected alignment error with these frames over that with all, by the equations at the start; NaN where no two cameras
     have depth on a common place."""
 
-    def quality(self, expected_mm: float | None) -> dict[str, Any]:
-        """Plain numbers; `expected_mm` is what the calibration expects of itself."""
-        out: dict[str, Any] = {
-            "frames": len(self.used) + len(self.left_out),
-            "used": len(self.used),
-            "left_out": list(self.left_out),
-        }
+    def quality(self, expected: ExpectedAlignment | None) -> SelectedFrames:
+        """For the rig file; `expected` is what the calibration expects of itself."""
+        out = SelectedFrames(len(self.used) + len(self.left_out), len(self.used), self.left_out)
         if np.isfinite(self.ratio):
-            out["error_over_that_of_all"] = round(self.ratio, 4)
-            if expected_mm is not None:
-                out["expected_mm"] = round(expected_mm, 4)
-                out["expected_mm_with_all"] = round(expected_mm / self.ratio, 4)
-        return {"frame_selection": out}
+            out = replace(out, error_over_that_of_all=round(self.ratio, 4))
+            if expected is not None:
+                mm = expected.mean_mm
+                out = replace(out, expected_mm=round(mm, 4), expected_mm_with_all=round(mm / self.ratio, 4))
+        return out
 
 
-def told(quality: Mapping[str, Any]) -> str | None:
-    """One sentence of the rig's quality, where frames were selected."""
-    own = quality.get("frame_selection")
-    if own is None:
-        return None
-    text = f"{own['used']} of {own['frames']} frames used, the most informative"
-    if "expected_mm" in own:
-        return (
-            f"{text}: expected error {own['expected_mm']:.2f} mm in the mean, {own['expected_mm_with_all']:.2f} mm estimated "
-            "with all"
-        )
-    if "error_over_that_of_all" in own:
-        return f"{text}: the expected error is {own['error_over_that_of_all']:.2f} times that with all"
+def told(own: SelectedFrames) -> str:
+    """The selection in a sentence."""
+    text = f"{own.used} of {own.frames} frames used, the most informative"
+    if own.expected_mm is not None:
+        return f"{text}: expected error {own.expected_mm:.2f} mm in the mean, {own.expected_mm_with_all:.2f} mm estimated with all"
+    if own.error_over_that_of_all is not None:
+        return f"{text}: the expected error is {own.error_over_that_of_all:.2f} times that with all"
     return text
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -11,25 +11,25 @@ from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.pipeline.details import expectation
 from rgbd_calib.pipeline.evaluate import Evaluation, PairAlignment
+from rgbd_calib.quality import Quality
 from rgbd_calib.trust.uncertainty import JointCovariance
 from rgbd_calib.types import Correspondences, Rig
 
 
-def correspondences_quality(rig: Rig, data: Correspondences, joint: JointCovariance | None) -> dict[str, Any]:
-    """Measured and expected alignment, and the working distance, as far as the correspondences tell them."""
-    out: dict[str, Any] = {}
+def with_alignment(quality: Quality, rig: Rig, data: Correspondences, joint: JointCovariance | None) -> Quality:
+    """With measured and expected alignment, and the working distance, as far as the correspondences tell them."""
     points = _measured(rig, data)
     z_m = [own[:, 2] for own in points.values() if len(own)]
     if z_m:
-        out["working_distance_m"] = round(float(np.median(np.concatenate(z_m))), 3)
+        quality = replace(quality, working_distance_m=round(float(np.median(np.concatenate(z_m))), 3))
     pairs = [p for a, b in combinations(data.cameras, 2) if (p := _pair(rig, data, points, a, b)) is not None]
     if pairs:
-        out["alignment_on_recording"] = Evaluation(tuple(pairs), {}).summary()
+        quality = replace(quality, alignment_on_recording=Evaluation(tuple(pairs), {}).summary())
     if joint is not None and z_m:
         world = [se3.transform(rig.cameras[c].T_world_color, own[:, :3]) for c, own in points.items() if len(own)]
         with_depth = [c for c, own in points.items() if len(own)]
-        out |= expectation(rig, joint, np.concatenate(world), with_depth)
-    return out
+        quality = replace(quality, expected_alignment=expectation(rig, joint, np.concatenate(world), with_depth))
+    return quality
 
 
 def _measured(rig: Rig, data: Correspondences) -> dict[str, FloatArray]:

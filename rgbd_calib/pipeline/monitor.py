@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from math import degrees
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.snapshot import newest_frames, read_snapshot
 from rgbd_calib.pipeline.snapshot import compare_with, summary
 from rgbd_calib.trust.snapshot import Before, SnapshotParams, judge_motions
+from rgbd_calib.trust.snapshot.rig import RigVerdict
 from rgbd_calib.types import CameraSnapshot, Rig
 
 _FIRST = b"# HELP rgbd_calib_monitor_"
@@ -42,8 +44,8 @@ class Round:
     number: int
     time: str
     """UTC, ISO 8601."""
-    numbers: dict[str, Any] | None
-    """As :func:`..snapshot.summary`; None where there was none."""
+    verdict: RigVerdict | None
+    """None where there was none."""
     problem: str
     """Why there was none."""
     drift: bool
@@ -53,21 +55,22 @@ class Round:
     @property
     def status(self) -> str:
         """holds, moved, undetermined, or failed."""
-        if self.numbers is None:
+        if self.verdict is None:
             return "failed"
-        return "holds" if self.numbers["holds"] else "moved" if self.numbers["moved"] else "undetermined"
+        return "holds" if self.verdict.holds else "moved" if self.verdict.moved else "undetermined"
 
     def line(self) -> dict[str, Any]:
         """What a line of JSON has; without covariances and pairs."""
         out: dict[str, Any] = {
             "time": self.time, "round": self.number, "status": self.status, "drift": self.drift, "seconds": round(self.seconds, 3)
         }  # fmt: skip
-        if self.numbers is None:
+        if self.verdict is None:
             return out | {"problem": self.problem}
-        kept = {key: self.numbers[key] for key in ("verdict", "moved", "undetermined", "not_checked", "rig_motion")}
+        numbers = summary(self.verdict)
+        kept = {key: numbers[key] for key in ("verdict", "moved", "undetermined", "not_checked", "rig_motion")}
         cameras = {
             name: {key: value for key, value in own.items() if key != "covariance"}
-            for name, own in self.numbers["cameras"].items()
+            for name, own in numbers["cameras"].items()
         }
         return out | kept | {"cameras": cameras}
 
@@ -107,11 +110,11 @@ def watch(
     while params.rounds is None or number < params.rounds:
         number += 1
         begin = time.monotonic()
-        numbers, problem = _round(rig, before, source, params)
-        in_a_row = in_a_row + 1 if numbers is not None and numbers["moved"] else in_a_row if numbers is None else 0
+        verdict, problem = _round(rig, before, source, params)
+        in_a_row = in_a_row if verdict is None else in_a_row + 1 if verdict.moved else 0
         now = datetime.now(UTC).isoformat(timespec="seconds")
         seconds = time.monotonic() - begin
-        yield Round(number, now, numbers, problem, in_a_row >= params.confirm, seconds)
+        yield Round(number, now, verdict, problem, in_a_row >= params.confirm, seconds)
         last = params.rounds is not None and number >= params.rounds
         if last or pause(max(params.every_s - (time.monotonic() - begin), 0.0)):
             return
@@ -119,7 +122,7 @@ def watch(
 
 def _round(
     rig: Rig, before: Mapping[str, Before], source: Source, params: MonitorParams
-) -> tuple[dict[str, Any] | None, str]:
+) -> tuple[RigVerdict | None, str]:
     try:
         taken = source()
         if taken is None:
@@ -128,7 +131,7 @@ def _round(
         if not both:
             raise CalibrationError(f"none of the cameras {', '.join(before)} has new colour and depth images")
         found = compare_with(before, both, taken.get)
-        return summary(judge_motions(rig, found, params.snapshot)), ""
+        return judge_motions(rig, found, params.snapshot), ""
     except (RgbdCalibError, OSError) as error:
         return None, str(error)
 
@@ -155,20 +158,26 @@ def metrics(round_: Round, failures: int) -> str:
             [("", datetime.fromisoformat(round_.time).timestamp())],
         ),
     ]  # fmt: skip
-    if round_.numbers is not None:
-        lines += _metric(
-            "rgbd_calib_rig_holds", "gauge", "1 where no camera moved.", [("", int(round_.numbers["holds"]))]
-        )
-        cameras = round_.numbers["cameras"]
-        for key, name, unit, text in (
-            ("displacement_mm", "displacement_metres", 1e-3, "Displacement at the working distance."),
-            ("displacement_sd_mm", "displacement_sd_metres", 1e-3, "Its standard deviation."),
-            ("turn_deg", "rotation_degrees", 1.0, "Rotation."),
-            ("unchanged_share", "unchanged_ratio", 1.0, "Share of the scene that is unchanged."),
-            ("moved", "moved", 1.0, "1 where the camera moved against the others."),
+    if round_.verdict is not None:
+        lines += _metric("rgbd_calib_rig_holds", "gauge", "1 where no camera moved.", [("", int(round_.verdict.holds))])
+        cameras = {f'{{camera="{_escaped(name)}"}}': own for name, own in round_.verdict.cameras.items()}
+        for name, text, values in (
+            (
+                "displacement_metres",
+                "Displacement at the working distance.",
+                [c.displacement_m for c in cameras.values()],
+            ),
+            ("displacement_sd_metres", "Its standard deviation.", [c.displacement_sd_m for c in cameras.values()]),
+            ("rotation_degrees", "Rotation.", [degrees(c.turn_rad) for c in cameras.values()]),
+            (
+                "unchanged_ratio",
+                "Share of the scene that is unchanged.",
+                [c.motion.unchanged_share for c in cameras.values()],
+            ),
+            ("moved", "1 where the camera moved against the others.", [float(c.moved) for c in cameras.values()]),
         ):
-            values = [(f'{{camera="{_escaped(c)}"}}', unit * float(own[key])) for c, own in cameras.items()]
-            lines += _metric(f"rgbd_calib_camera_{name}", "gauge", text, values)
+            labelled = list(zip(cameras, values, strict=True))
+            lines += _metric(f"rgbd_calib_camera_{name}", "gauge", text, labelled)
     return "\n".join(lines) + "\n"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.depth_cameras import split
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.pipeline.workers import Workers
+from rgbd_calib.quality import BiasSamples
 from rgbd_calib.types import BoardView, DepthBias
 from rgbd_calib.views.board_pose import pose_view
 from rgbd_calib.views.doctor import check_stems
@@ -204,13 +205,16 @@ def given_intrinsics(source: Path, cameras: Sequence[str]) -> IntrinsicsSource:
     return IntrinsicsSource({name: given[name] for name in cameras}, str(source), {}, (), read_intrinsics_sd(source))
 
 
+T = TypeVar("T")
+
+
 @dataclass(frozen=True)
 class DepthSource:
     """What is known of the cameras' depth before the rig, and where it is from."""
 
     biases: dict[str, DepthBias]
     origin: str
-    samples: dict[str, Any]
+    samples: dict[str, BiasSamples]
     """By camera, the data that the depth bias was fitted to, where they are known."""
     walls: dict[str, tuple[SeenWall, ...]]
     """By camera, the walls that the depth bias rests on; none where it is from a file or from boards."""
@@ -304,24 +308,23 @@ def resolve_depth(
         given = {name: fit.bias for name, fit in fits.items()}
         samples = {name: samples_of(fit) for name, fit in fits.items()}
     else:
-        given, samples = (
-            _by_depth_camera(found, recording) for found in (read_depth_bias(source), read_depth_bias_samples(source))
-        )
+        given = _by_depth_camera(read_depth_bias(source), recording)
+        samples = _by_depth_camera(read_depth_bias_samples(source), recording)
     _need(source, "depth_bias", cameras, given)  # one without depth images in a bias recording has none
     mine = {name: walls[name] for name in cameras if name in walls}
     return DepthSource({name: given[name] for name in cameras}, str(source), samples, mine)
 
 
-def _by_depth_camera(by_camera: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
+def _by_depth_camera(by_camera: Mapping[str, T], recording: Recording) -> dict[str, T]:
     """What a file says of cameras, by the depth cameras of a split recording."""
     parent = {name: info.mount.camera for name, info in recording.cameras.items() if info.mount is not None}
     moved = {name: by_camera[camera] for name, camera in parent.items() if camera in by_camera}
     return {name: value for name, value in by_camera.items() if name not in parent.values()} | moved
 
 
-def samples_of(fit: DepthBiasFit) -> dict[str, Any]:
+def samples_of(fit: DepthBiasFit) -> BiasSamples:
     """The data behind a depth bias, for a file."""
-    return {"z_m": fit.z_m, "z_true_m": fit.z_true_m, "dropped": fit.dropped}
+    return BiasSamples(fit.z_m, fit.z_true_m, tuple(fit.dropped.tolist()))
 
 
 def _wall_samples(
@@ -352,7 +355,7 @@ def _board_pairs(
     return table[:, 0], table[:, 1]
 
 
-def _need(source: Path, what: str, cameras: Sequence[str], given: Mapping[str, Any]) -> None:
+def _need(source: Path, what: str, cameras: Sequence[str], given: Mapping[str, object]) -> None:
     missing = [name for name in cameras if name not in given]
     if missing:
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""What a bundle found out about board and sensors and has corrected, in sentences: properties, no faults."""
+"""What a bundle found out about board and sensors and has corrected, in words: properties, no faults."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.depth_error import PolynomialField
+from rgbd_calib.quality import CorrectedProperty, PropertyKind
 from rgbd_calib.rig.solution import Solution
 
 AT_M = 2.0
@@ -16,37 +17,36 @@ CLEAR = 3.0
 """Standard deviations from which on a property is told."""
 
 
-def properties_of(solved: Solution) -> list[str]:
-    """Sentences with numbers, those of the board first; what is not clear of its own uncertainty is not told."""
-    return [*_of_board(solved), *_of_depth(solved)]
+def properties_of(solved: Solution) -> tuple[CorrectedProperty, ...]:
+    """With numbers, those of the board first; what is not clear of its own uncertainty is not told."""
+    own = (*_of_board(solved), *_of_depth(solved))
+    return tuple(CorrectedProperty(text, kind) for kind, text in own)
 
 
-def _of_board(solved: Solution) -> list[str]:
-    out, parts = [], solved.problem.parts
+def _of_board(solved: Solution) -> list[tuple[PropertyKind, str]]:
+    out: list[tuple[PropertyKind, str]] = []
+    parts = solved.problem.parts
     if "print" in parts:
         (aspect, shear), at = solved.state.values["print"][0], solved.problem.index("print")
         sd = np.sqrt(np.diag(solved.covariance)[at])
         if abs(aspect) > CLEAR * sd[0]:
             way = "narrower" if aspect < 0 else "wider"
-            out.append(
-                f"The print is {200 * abs(aspect):.2f} % {way} along its columns than along its rows (± {200 * sd[0]:.3f} %); corrected"
-            )
+            ratio = f"{200 * abs(aspect):.2f} % {way} along its columns than along its rows (± {200 * sd[0]:.3f} %)"
+            out.append((PropertyKind.PRINT, f"The print is {ratio}; corrected"))
         if abs(shear) > CLEAR * sd[1]:
-            out.append(
-                f"The print's axes are {np.degrees(2 * shear):+.3f}° (± {np.degrees(2 * sd[1]):.3f}°) from square; corrected"
-            )
+            angle = f"{np.degrees(2 * shear):+.3f}° (± {np.degrees(2 * sd[1]):.3f}°) from square"
+            out.append((PropertyKind.PRINT, f"The print's axes are {angle}; corrected"))
     shape = solved.board_shape
     flat = np.column_stack([shape.front_m[:, :2], np.ones(len(shape.front_m))])
     out_of_plane_m = shape.front_m[:, 2] - flat @ np.linalg.lstsq(flat, shape.front_m[:, 2], rcond=None)[0]
     sd_m = float(np.sqrt(np.mean(shape.front_sd_m[:, 2] ** 2))) if shape.front_sd_m is not None else np.inf
     if np.ptp(out_of_plane_m) > CLEAR * sd_m:
-        out.append(
-            f"The board is bent by {1e3 * np.ptp(out_of_plane_m):.2f} mm from its lowest to its highest corner; corrected"
-        )
+        bend = f"{1e3 * np.ptp(out_of_plane_m):.2f} mm from its lowest to its highest corner"
+        out.append((PropertyKind.BEND, f"The board is bent by {bend}; corrected"))
     return out
 
 
-def _of_depth(solved: Solution) -> list[str]:
+def _of_depth(solved: Solution) -> list[tuple[PropertyKind, str]]:
     """Registration and field of all cameras, in one sentence each."""
     beside, fields = [], []
     for name, has_depth in zip(solved.cameras, solved.has_depth, strict=True):
@@ -67,11 +67,11 @@ def _of_depth(solved: Solution) -> list[str]:
             rms_m = float(np.sqrt(np.mean(field.error_m(pixels, z_m) ** 2)))
             if rms_m > CLEAR * np.sqrt(np.mean(np.einsum("np,pq,nq->n", J, field.covariance, J))):
                 fields.append(f"{name} by {1e3 * rms_m:.1f} mm")
-    out = []
-    if beside:
-        out.append(
-            f"Depth is misregistered to colour (RMS over the image at {AT_M:g} m): {', '.join(beside)}; corrected"
+    return [
+        (kind, f"{text}: {', '.join(cameras)}; corrected")
+        for kind, text, cameras in (
+            (PropertyKind.REGISTRATION, f"Depth is misregistered to colour (RMS over the image at {AT_M:g} m)", beside),
+            (PropertyKind.DEPTH_FIELD, f"Depth errs over the image (RMS at {AT_M:g} m, beside its bias)", fields),
         )
-    if fields:
-        out.append(f"Depth errs over the image (RMS at {AT_M:g} m, beside its bias): {', '.join(fields)}; corrected")
-    return out
+        if cameras
+    ]

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jinja2 import TemplateError
@@ -14,12 +13,11 @@ from jinja2 import TemplateError
 from rgbd_calib.errors import ConfigError, RgbdCalibError
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.blas import one_blas_thread
-from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.files import write_text
 from rgbd_calib.io.recording import Recording, open_recording
 from rgbd_calib.io.residuals import Residuals, read_residuals_of, residuals_path
-from rgbd_calib.io.rig import board_in, read_boards, read_depth_bias_samples, read_rig
+from rgbd_calib.io.rig import read_boards, read_depth_bias_samples, read_rig
 from rgbd_calib.io.tables import short
 from rgbd_calib.io.text import valid
 from rgbd_calib.pipeline import fuse
@@ -55,7 +53,7 @@ def report_of_file(path: Path, recording: Path | None, depth_bias: Path | None, 
     """
     rig, missing = read_rig(path), {}
     if depth_bias is not None:
-        rig.quality["depth_bias_samples"] = read_depth_bias_samples(depth_bias)
+        rig = replace(rig, quality=replace(rig.quality, depth_bias_samples=read_depth_bias_samples(depth_bias)))
     left, beside = read_residuals_of(path, rig), residuals_path(path)
     if left is None and beside.exists():
         missing["residuals"] = (
@@ -159,7 +157,7 @@ def _without(contents: Contents, section: str, why: str) -> Contents:
 
 def _start(rig: Rig) -> Rig | None:
     """The rig before, where the file says what it was."""
-    return before(rig) if rig.quality.get("start", {}).get("cameras") else None
+    return before(rig) if rig.quality.start is not None else None
 
 
 def before(rig: Rig) -> Rig:
@@ -167,24 +165,19 @@ def before(rig: Rig) -> Rig:
 
     Rigs without that record are returned with their depth bias removed and nothing else.
     """
-    start: dict[str, Any] = rig.quality.get("start", {}).get("cameras", {})
+    start = rig.quality.start.cameras if rig.quality.start is not None else {}
     T_world_start = rig.cameras[rig.reference].T_world_color
     cameras = {}
     for name, own in rig.cameras.items():
         if name in start:
-            entry = start[name]
-            T = np.array(entry["T_world_color"])
+            T = start[name].T_world_color
             depth, beside = None, start.get(name_of(name))
             if beside is not None:
-                depth = DepthCamera(_lens(beside), se3.inverse(T) @ np.array(beside["T_world_color"]))
-            cameras[name] = RigCamera(_lens(entry), T_world_start @ T, np.zeros((6, 6)), depth_camera=depth)
+                depth = DepthCamera(beside.intrinsics, se3.inverse(T) @ beside.T_world_color)
+            cameras[name] = RigCamera(start[name].intrinsics, T_world_start @ T, np.zeros((6, 6)), depth_camera=depth)
         else:
             cameras[name] = RigCamera(own.intrinsics, own.T_world_color, np.zeros((6, 6)))
     return Rig(rig.reference, cameras)
-
-
-def _lens(entry: Mapping[str, Any]) -> Intrinsics:
-    return Intrinsics(**{**entry["intrinsics"], "distortion": tuple(entry["intrinsics"]["distortion"])})
 
 
 def _with_clouds(contents: Contents, recording: Recording) -> Contents:
@@ -192,11 +185,11 @@ def _with_clouds(contents: Contents, recording: Recording) -> Contents:
     frame, first = _frame(recording, rig, boards), before(rig)
     params = fuse.FuseParams(max_depth_m=_farthest_m(rig, boards))
     clouds = tuple(fuse.clouds_of(recording, one, frame, params) for one in (first, rig))
-    board = board_in(rig.quality)
+    board = rig.quality.board
     pictures = [_edge_on(clouds, rig, board, boards[frame])] if frame in boards and board is not None else []
     focus_m = splat.seen_by_several([cloud.points_m for cloud in clouds[1]])
     pictures += [_part(clouds, rig, view, focus_m) for view in VIEWS]
-    how = rig.quality.get("start", {}).get("poses_from")
+    how = rig.quality.start.poses_from if rig.quality.start is not None else None
     note = f"Depth is that of frame {frame}. " + (
         f"Before: poses by the {how}, intrinsics as given, depth as reported. After: the calibrated rig."
         if how

@@ -7,7 +7,6 @@ from difflib import get_close_matches
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.recording import Recording
-from rgbd_calib.io.rig import board_in
 from rgbd_calib.io.tables import short
 from rgbd_calib.pipeline.detection import board_of
 from rgbd_calib.types import Board, Rig, RigCamera
@@ -67,12 +66,11 @@ def board_for(recording: Recording, rig: Rig) -> Board:
         The recording has no board, or the rig's is none.
     """
     board = board_of(recording)
-    try:
-        known = board_in(rig.quality)
-    except ValueError as error:
+    known = rig.quality.board
+    if fault := rig.quality.faults.get("board"):
         raise ConfigError(
-            f"{recording.path}: the rig's quality.board describes no board ({short(str(error))}). Take it out, or calibrate again"
-        ) from None
+            f"{recording.path}: the rig's quality.board describes no board ({short(fault)}). Take it out, or calibrate again"
+        )
     same = known is not None and replace(known, shape=None) == board
     return known if known is not None and same else board
 

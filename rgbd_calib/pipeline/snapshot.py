@@ -12,10 +12,10 @@ import numpy as np
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.blas import one_blas_thread
-from rgbd_calib.io.files import plain
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.snapshot import read_snapshot
 from rgbd_calib.pipeline.rig_inputs import common_cameras
+from rgbd_calib.quality import CameraUpdate
 from rgbd_calib.trust.snapshot import (
     Before,
     CameraMotion,
@@ -161,7 +161,7 @@ def sentence(verdict: RigVerdict) -> str:
 
 def corrected_by(
     rig: Rig, verdict: RigVerdict, new: Recording, old: Recording
-) -> dict[str, tuple[RigCamera, dict[str, Any]]]:
+) -> dict[str, tuple[RigCamera, CameraUpdate]]:
     """New entry and report, for the rig file, of each camera that moved.
 
     The covariance of the old pose stays, since its error is still there, and that of the motion is added.
@@ -179,16 +179,16 @@ def corrected_by(
         Ad = se3.adjoint(own.T_world_color)
         covariance = own.covariance + Ad @ found.covariance @ Ad.T
         entry = replace(own, T_world_color=own.T_world_color @ found.T_old_new, covariance=covariance)
-        report = {
-            "camera": name,
-            "by": "snapshot",
-            "recording": str(new.path),
-            "recording_sha256": new.digest(),
-            "snapshot": str(old.path),
-            "snapshot_sha256": old.digest(),
-            "moved_mm": 1e3 * found.shift_m,
-            "turned_deg": float(np.degrees(found.turn_rad)),
-            "unchanged_share": found.motion.unchanged_share,
-        }
-        out[name] = (entry, plain(report))
+        report = CameraUpdate(
+            name,
+            by="snapshot",
+            recording=str(new.path),
+            recording_sha256=new.digest(),
+            snapshot=str(old.path),
+            snapshot_sha256=old.digest(),
+            moved_mm=1e3 * found.shift_m,
+            turned_deg=float(np.degrees(found.turn_rad)),
+            unchanged_share=found.motion.unchanged_share,
+        )
+        out[name] = (entry, report)
     return out

@@ -3,37 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from rgbd_calib.cameras.lens_choice import LensChoice
 from rgbd_calib.errors import RgbdCalibError
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.residuals import Residuals
-from rgbd_calib.io.rig import board_in, read_boards, read_rig
+from rgbd_calib.io.rig import read_boards, read_rig
 from rgbd_calib.pipeline.evaluate import against_truth
 from rgbd_calib.pipeline.frame_selection import told
+from rgbd_calib.quality import Finding, MeasuredAlignment, Quality
 from rgbd_calib.report.numbers import camera_table
 from rgbd_calib.trust.verdict import Verdict
 from rgbd_calib.types import Rig
 
 
-def course(quality: dict[str, Any]) -> list[str]:
+def course(quality: Quality) -> list[str]:
     """What was used, what was dropped, and what the recording does not determine."""
     lines = []
-    used, images = quality.get("views_used", {}), quality.get("images", {})
+    used, images = quality.views_used or {}, quality.images or {}
     if used:
         lines.append("Views used: " + ", ".join(f"{name} {used[name]} of {images[name]} images" for name in used))
-    if selected := told(quality):
-        lines.append(selected)
-    lines += [f"{name}: {LensChoice(**own).sentence}" for name, own in quality.get("lenses", {}).items()]
-    for key, what in (("views_not_associated", "left out"), ("dropped", "dropped")):
-        for name, frames in quality.get(key, {}).items():
+    if quality.frame_selection is not None:
+        lines.append(told(quality.frame_selection))
+    lines += [f"{name}: {own.sentence}" for name, own in (quality.lenses or {}).items()]
+    for reasons, what in ((quality.views_not_associated, "left out"), (quality.dropped, "dropped")):
+        for name, frames in (reasons or {}).items():
             lines += [f"{name}: frame {frame} {what}: {why}" for frame, why in frames.items()]
-    lines += merged(quality.get("not_observable", []), list(images))
-    if "status" in quality:
-        lines.append(f"{quality['method']}: {quality['message']}")
+    lines += merged(quality.not_observable or (), list(images))
+    if quality.status is not None:
+        lines.append(f"{quality.method}: {quality.message}")
     return lines
 
 
@@ -47,67 +48,67 @@ def merged(sentences: Iterable[str], cameras: Sequence[str]) -> list[str]:
 
 
 def block(
-    rig: Rig, verdict: Verdict, residuals: Residuals | None, truth: dict[str, Any] | None = None
+    rig: Rig, verdict: Verdict, residuals: Residuals | None, truth: MeasuredAlignment | None = None
 ) -> tuple[list[str], list[str]]:
     """Rows of the cameras, and the lines that end a calibration: expected error, error against the truth, print, verdict."""
     quality = rig.quality
     lines = []
-    expected, measured = quality.get("expected_alignment"), quality.get("alignment_on_recording", {}).get("all", {})
-    if expected:
+    expected, measured = quality.expected_alignment, quality.measured
+    if expected is not None:
         lines.append(
-            f"Expected error: {expected['mean_mm']:.2f} mm in the mean, 95 % of the volume below {expected['p95_mm']:.2f} mm"
+            f"Expected error: {expected.mean_mm:.2f} mm in the mean, 95 % of the volume below {expected.p95_mm:.2f} mm"
         )
     if truth is not None:
-        own = truth["all"]
+        own = truth.all
         lines.append(
-            f"Error against the truth: {own['mean_mm']:.2f} mm in the mean, 95 % of the volume below {own['p95_mm']:.2f} mm"
+            f"Error against the truth: {own.mean_mm:.2f} mm in the mean, 95 % of the volume below {own.p95_mm:.2f} mm"
         )
-    if "median_mm" in measured:
+    if measured is not None and measured.median_mm is not None:
         lines.append(
-            f"Measured on this recording: two cameras put the same corner {measured['median_mm']:.2f} mm apart in the median "
-            f"({measured['mean_mm']:.2f} mm in the mean), including single-reading depth noise"
+            f"Measured on this recording: two cameras put the same corner {measured.median_mm:.2f} mm apart in the median "
+            f"({measured.mean_mm:.2f} mm in the mean), including single-reading depth noise"
         )
-    elif "median_board_mm" in measured:
+    elif measured is not None and measured.median_board_mm is not None:
         lines.append(
-            f"Measured on this recording: {measured['median_px']:.2f} px between cameras in the median, or "
-            f"{measured['median_board_mm']:.2f} mm at the board; depth is not used"
+            f"Measured on this recording: {measured.median_px:.2f} px between cameras in the median, or "
+            f"{measured.median_board_mm:.2f} mm at the board; depth is not used"
         )
-    lines += [text for text in quality.get("corrected", []) if text.startswith(("The print", "The board"))]
+    lines += [own.text for own in quality.corrected or () if own.kind is not None and own.kind.of_board]
     lines.append(f"Verdict: {verdict}")
-    findings = quality.get("self_check", {}).get("findings", [])
+    findings = quality.self_check.findings if quality.self_check is not None else ()
     lines += [f"  {text}" for text in merged([_said(f, verdict) for f in findings], list(rig.cameras))]
     return _rows(rig, residuals), lines
 
 
-def _said(finding: dict[str, Any], verdict: Verdict) -> str:
+def _said(finding: Finding, verdict: Verdict) -> str:
     """The cause and what to do; the cause only where the verdict has not named it."""
-    text, advice = f"{finding['text']}.", f"{finding['advice']}."
+    text, advice = f"{finding.text}.", f"{finding.advice}."
     return advice if text in str(verdict) else f"{text} {advice}"
 
 
-def truth_beside(recording: Recording, rig: Rig) -> dict[str, Any] | None:
+def truth_beside(recording: Recording, rig: Rig) -> MeasuredAlignment | None:
     """Errors against the truth.yaml of a simulated recording; None where there is none, or it is of other cameras."""
     path = recording.path.parent / "truth.yaml"
     if not path.exists():
         return None
     try:
-        return against_truth(rig, read_rig(path), read_boards(path), recording.board or board_in(rig.quality)).summary()
+        return against_truth(rig, read_rig(path), read_boards(path), recording.board or rig.quality.board).summary()
     except RgbdCalibError:
         return None
 
 
-def numbers_of(rig: Rig, verdict: Verdict, truth: dict[str, Any] | None) -> dict[str, Any]:
+def numbers_of(rig: Rig, verdict: Verdict, truth: MeasuredAlignment | None) -> dict[str, Any]:
     """The same for programs."""
-    expected = {k: v for k, v in rig.quality.get("expected_alignment", {}).items() if k != "grid"}
+    expected = rig.quality.expected_alignment
     return {
         "verdict": verdict.level,
         "headline": verdict.headline,
         "reasons": list(verdict.reasons),
         "next_steps": list(verdict.next_steps),
-        "expected": expected or None,
-        "measured": rig.quality.get("alignment_on_recording"),
+        "expected": None if expected is None else replace(expected, grid=None),
+        "measured": rig.quality.alignment_on_recording,
         "truth": truth,
-        "corrected": rig.quality.get("corrected", []),
+        "corrected": [own.text for own in rig.quality.corrected or ()],
         "cameras": {
             name: {
                 "position_m": own.T_world_color[:3, 3],

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from rgbd_calib.pipeline.prepare import IntrinsicsSource, resolve_depth, resolve
 from rgbd_calib.pipeline.rig_inputs import board_for, common_cameras
 from rgbd_calib.pipeline.verify import verify_views
 from rgbd_calib.pipeline.workers import Workers
+from rgbd_calib.quality import AlignmentNumbers, CameraUpdate
 from rgbd_calib.rig.bundle import bundle
 from rgbd_calib.rig.setup import CameraPrior
 from rgbd_calib.rig.solution import Solution
@@ -47,8 +47,7 @@ class Update:
 
     camera: str
     entry: RigCamera
-    report: dict[str, Any]
-    """Plain numbers, for the rig's quality."""
+    report: CameraUpdate
 
 
 @one_blas_thread
@@ -102,22 +101,22 @@ def update_camera(
     entry = _entry(rig, solved, name, own, placed, others)
     checked = replace(rig, cameras=rig.cameras | {name: entry})
     mine = place_views(checked, views, board, [*others, name], config)
-    report = {
-        "camera": name,
-        "was_in_rig": name in rig.cameras,
-        "recording": str(recording.path),
-        "recording_sha256": recording.digest(),
-        "intrinsics": "the rig's" if own is not None else source.origin,
-        "views": sum(p.view.camera == name for p in placed),
-        "common_frames": {c: _common(placed, name, c) for c in others},
-        "left_out": {f"{c} {f}": why for (c, f), why in (left_out | dict(solved.course.dropped)).items() if c == name},
-        "alignment": _alignment(checked, mine, board, name),
-    }
+    report = CameraUpdate(
+        name,
+        was_in_rig=name in rig.cameras,
+        recording=str(recording.path),
+        recording_sha256=recording.digest(),
+        intrinsics="the rig's" if own is not None else source.origin,
+        views=sum(p.view.camera == name for p in placed),
+        common_frames={c: _common(placed, name, c) for c in others},
+        left_out={f"{c} {f}": why for (c, f), why in (left_out | dict(solved.course.dropped)).items() if c == name},
+        alignment=_alignment(checked, mine, board, name),
+    )
     if name in rig.cameras:
         step = se3.inverse(rig.cameras[name].T_world_color) @ entry.T_world_color
-        report["moved_mm"] = 1e3 * float(np.linalg.norm(step[:3, 3]))
-        report["turned_deg"] = float(np.degrees(np.arccos(np.clip((np.trace(step[:3, :3]) - 1) / 2, -1, 1))))
-    return Update(name, entry, plain(report))
+        turned_deg = float(np.degrees(np.arccos(np.clip((np.trace(step[:3, :3]) - 1) / 2, -1, 1))))
+        report = replace(report, moved_mm=1e3 * float(np.linalg.norm(step[:3, 3])), turned_deg=turned_deg)
+    return Update(name, entry, report)
 
 
 def _others(rig: Rig, name: str, recording: Recording) -> tuple[str, ...]:
@@ -246,7 +245,7 @@ def _common(placed: Sequence[PlacedView], a: str, b: str) -> int:
     return len(frames[0] & frames[1])
 
 
-def _alignment(rig: Rig, placed: Sequence[PlacedView], board: Board, name: str) -> dict[str, Any]:
+def _alignment(rig: Rig, placed: Sequence[PlacedView], board: Board, name: str) -> dict[str, AlignmentNumbers]:
     """How far this camera and the others put the same corner apart, by pair, single depths' noise included."""
-    pairs = against_views(rig, placed, board).summary()["pairs"]
+    pairs = against_views(rig, placed, board).summary().pairs
     return {pair: numbers for pair, numbers in pairs.items() if name in pair.split(" - ")}

@@ -14,6 +14,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.rig_inputs import board_for, common_cameras
+from rgbd_calib.quality import WeightRound
 from rgbd_calib.trust.displacement import (
     CameraPoses,
     FittedView,
@@ -194,13 +195,12 @@ def _label(
 
 def _common_noise(rig: Rig) -> Noise:
     """What the rig's own calibration says of errors that a whole view shares; else the defaults."""
-    rounds = rig.quality.get("rounds") or [{}]
-    last, default = rounds[-1] if isinstance(rounds, list) else {}, Noise()
-    pixel, depth = (last.get(key) if isinstance(last, dict) else None for key in ("pose_part_pixel", "pose_part_depth"))
+    last, default = (rig.quality.rounds or (WeightRound(),))[-1], Noise()
+    pixel, depth = last.pose_part_pixel, last.pose_part_depth
     return replace(
         default,
-        ratio_pixel=max(float(pixel), 1.0) if isinstance(pixel, int | float) else default.ratio_pixel,
-        ratio_depth=max(float(depth), 1.0) if isinstance(depth, int | float) else default.ratio_depth,
+        ratio_pixel=default.ratio_pixel if pixel is None else max(pixel, 1.0),
+        ratio_depth=default.ratio_depth if depth is None else max(depth, 1.0),
     )
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.residuals import Residuals
-from rgbd_calib.io.rig import board_in
 from rgbd_calib.pipeline.rig_inputs import check_depth_geometry, common_cameras
 from rgbd_calib.report.numbers import Sensor
 from rgbd_calib.report.view_pictures import ViewPicture, board_pose, choose, depth_cells, part_of, rows_of
@@ -26,7 +25,7 @@ def view_pictures(
     ConfigError
         An image cannot be read, or the recording is of another rig.
     """
-    board, out = board_in(rig.quality), []
+    board, out = rig.quality.board, []
     for name in common_cameras(recording, rig):
         own = rig.cameras[name]
         sensor = Sensor(name, name, own.intrinsics, own.T_world_color)

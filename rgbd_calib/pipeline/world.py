@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from difflib import get_close_matches
-from typing import Any
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from rgbd_calib.pipeline.evaluate import place_views
 from rgbd_calib.pipeline.fuse import clouds_of
 from rgbd_calib.pipeline.rig_inputs import board_for, common_cameras
 from rgbd_calib.pipeline.verify import fit_views
+from rgbd_calib.quality import FloorFit
 from rgbd_calib.rig.floor import find_floor, world_on_floor
 from rgbd_calib.trust.displacement import board_poses
 from rgbd_calib.types import Rig
@@ -31,8 +31,8 @@ _FRAMES_FOR_FLOOR = 3
 
 def world_motion(
     world: str, rig: Rig, boards: Mapping[str, FloatArray], recording: Recording, seed: int
-) -> tuple[FloatArray, dict[str, Any]]:
-    """T_new_world (4, 4) for `board:FRAME`, `floor` or a camera's id, and what to keep of it in the rig's quality.
+) -> tuple[FloatArray, FloorFit | None]:
+    """T_new_world (4, 4) for `board:FRAME`, `floor` or a camera's id, and the floor where it is that.
 
     Raises
     ------
@@ -49,11 +49,11 @@ def world_motion(
                 f"--world {world}: no board was posed in frame '{frame}'; {len(boards)} frames have one. "
                 f"Nearest: {', '.join(near) or 'none'}"
             )
-        return se3.inverse(boards[frame]), {"world": world}
+        return se3.inverse(boards[frame]), None
     if world == FLOOR:
         return _floor(rig, recording, seed)
     if world in rig.cameras:
-        return se3.inverse(rig.cameras[world].T_world_color), {"world": world}
+        return se3.inverse(rig.cameras[world].T_world_color), None
     raise ConfigError(
         f"--world {world}: board:FRAME, floor, or a camera needed; cameras are {', '.join(rig.cameras)}. Correct it"
     )
@@ -62,12 +62,12 @@ def world_motion(
 @one_blas_thread
 def in_world(result: Calibration, world: str, recording: Recording, seed: int) -> Calibration:
     """A calibration in another world: rig, board poses and joint covariance."""
-    T, kept = world_motion(world, result.rig, result.boards, recording, seed)
+    T, floor = world_motion(world, result.rig, result.boards, recording, seed)
     joint = result.joint
     if joint is not None:
         joint = joint.moved(T)
     boards = {frame: T @ T_world_board for frame, T_world_board in result.boards.items()}
-    return replace(result, rig=moved_rig(result.rig, T, kept), boards=boards, joint=joint)
+    return replace(result, rig=moved_rig(result.rig, T, world, floor), boards=boards, joint=joint)
 
 
 @one_blas_thread
@@ -85,11 +85,11 @@ def rig_in_world(
         boards = board_poses(
             {name: own.T_world_color for name, own in rig.cameras.items()}, fit_views(rig, placed, board)
         )
-    T, kept = world_motion(world, rig, boards, recording, config.seed)
-    return moved_rig(rig, T, kept), {frame: T @ T_world_board for frame, T_world_board in boards.items()}
+    T, floor = world_motion(world, rig, boards, recording, config.seed)
+    return moved_rig(rig, T, world, floor), {frame: T @ T_world_board for frame, T_world_board in boards.items()}
 
 
-def moved_rig(rig: Rig, T_new_world: FloatArray, kept: Mapping[str, Any]) -> Rig:
+def moved_rig(rig: Rig, T_new_world: FloatArray, world: str, floor: FloorFit | None) -> Rig:
     """The rig in another world.
 
     Covariances are carried along by the adjoint. They still are of each camera against the reference, written in the new
@@ -100,10 +100,11 @@ def moved_rig(rig: Rig, T_new_world: FloatArray, kept: Mapping[str, Any]) -> Rig
         name: replace(own, T_world_color=T_new_world @ own.T_world_color, covariance=Ad @ own.covariance @ Ad.T)
         for name, own in rig.cameras.items()
     }
-    return replace(rig, cameras=cameras, quality={**rig.quality, **kept})
+    quality = replace(rig.quality, world=world, floor=floor or rig.quality.floor)
+    return replace(rig, cameras=cameras, quality=quality)
 
 
-def _floor(rig: Rig, recording: Recording, seed: int) -> tuple[FloatArray, dict[str, Any]]:
+def _floor(rig: Rig, recording: Recording, seed: int) -> tuple[FloatArray, FloorFit]:
     cameras = common_cameras(recording, rig)
     with_depth = {f: sum(recording.has_depth(c, f) for c in cameras) for f in recording.frames}
     frames = sorted(with_depth, key=lambda f: (-with_depth[f], f))[:_FRAMES_FOR_FLOOR]
@@ -121,7 +122,4 @@ def _floor(rig: Rig, recording: Recording, seed: int) -> tuple[FloatArray, dict[
     floor = find_floor(np.concatenate(points), np.concatenate(eyes), poses, np.random.default_rng(seed))
     T = world_on_floor(floor, rig.cameras[rig.reference].T_world_color)
     height = float((T @ rig.cameras[rig.reference].T_world_color)[2, 3])
-    return T, {
-        "world": FLOOR,
-        "floor": {"frames": frames, "points": floor.points, "rms_m": floor.rms_m, "reference_height_m": height},
-    }
+    return T, FloorFit(tuple(frames), floor.points, floor.rms_m, height)

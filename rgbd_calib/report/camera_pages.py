@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +12,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.depth_error import PolynomialField
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.residuals import Residuals
+from rgbd_calib.quality import BiasSamples
 from rgbd_calib.report.plots import (
     SIGNS,
     SIZES,
@@ -189,7 +189,7 @@ def along(d: FloatArray, C: FloatArray) -> float:
     return float(np.sqrt(max(widest, 0.0)))
 
 
-def depth_bias(bias: DepthBias, samples: Mapping[str, Any] | None, left: Residuals | None, index: int) -> Figure:
+def depth_bias(bias: DepthBias, samples: BiasSamples | None, left: Residuals | None, index: int) -> Figure:
     """Correction by reported depth: the curve, its standard error, and the data behind it."""
     z = np.linspace(bias.min_m, bias.max_m, 60)
     mm = 1e3 * (bias.correct(z) - z)
@@ -212,9 +212,9 @@ def depth_bias(bias: DepthBias, samples: Mapping[str, Any] | None, left: Residua
     if left is not None:
         boards = _board_depths(left, bias)
         traces.append(dots("boards, one dot a view", *boards, "#9a9a9a", 5, "circle"))
-    if samples:
-        z_m, true_m = np.array(samples["z_m"], float), np.array(samples["z_true_m"], float)
-        out = np.array(samples.get("dropped", np.zeros(len(z_m))), bool)
+    if samples is not None:
+        z_m, true_m = samples.z_m, samples.z_true_m
+        out = np.array(samples.dropped or np.zeros(len(z_m)), bool)
         traces.append(dots("bias recording", z_m[~out], (true_m - z_m)[~out], css_color(index), 8, "diamond"))
         if out.any():
             traces.append(dots("left out", z_m[out], (true_m - z_m)[out], css_color(index), 9, "x"))

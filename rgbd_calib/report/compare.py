@@ -6,9 +6,8 @@ holds for rigs of independent recordings only: errors of rigs that share images 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -16,6 +15,7 @@ from scipy.stats import chi2
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.quality import AlignmentNumbers, ExpectedAlignment
 from rgbd_calib.report import numbers
 from rgbd_calib.report.camera_pages import FINE, along, change_at, pixels_over
 from rgbd_calib.report.error_map import points_of
@@ -80,10 +80,8 @@ class Side:
 
     name: str
     verdict: Verdict
-    expected: Mapping[str, Any] | None
-    """`of`, `mean_mm`, `p95_mm`, `worst_mm`; None where not known."""
-    measured: Mapping[str, Any]
-    """`median_mm`, `median_px`, as far as known."""
+    expected: ExpectedAlignment | None
+    measured: AlignmentNumbers | None
     views: int | None
     recording: str
 
@@ -175,12 +173,12 @@ def in_frame(rig: Rig, camera: str) -> Rig:
 
 
 def _side(rig: Rig, name: str, verdict: Verdict) -> Side:
-    views = rig.quality.get("views_used")
+    views = rig.quality.views_used
     return Side(
         name,
         verdict,
-        rig.quality.get("expected_alignment"),
-        rig.quality.get("alignment_on_recording", {}).get("all", {}),
+        rig.quality.expected_alignment,
+        rig.quality.measured,
         sum(views.values()) if views else None,
         str(rig.provenance.get("recording", "unknown")),
     )
@@ -257,14 +255,15 @@ def _which(sides: Sequence[Side]) -> str:
     if unknown:
         return f"It is not known which is better: no expected error in {' and '.join(unknown)}."
     (first, a), (second, b) = ((side.name, side.expected) for side in sides if side.expected is not None)
-    if a["of"] != b["of"]:
-        return f"It is not known which is better: the expected error of {first} counts {a['of']}, that of {second} {b['of']}."
-    (better, less), (worse, more) = sorted([(first, a), (second, b)], key=lambda row: float(row[1]["mean_mm"]))
-    if more["mean_mm"] - less["mean_mm"] < ALIKE * more["mean_mm"]:
+    if a.of != b.of:
+        counts = f"the expected error of {first} counts {a.of.value}, that of {second} {b.of.value}"
+        return f"It is not known which is better: {counts}."
+    (better, less), (worse, more) = sorted([(first, a), (second, b)], key=lambda row: row[1].mean_mm)
+    if more.mean_mm - less.mean_mm < ALIKE * more.mean_mm:
         return f"Both expect about the same error: {_mm(a)} and {_mm(b)} in the mean, each over its own volume."
     return f"{better} expects less error: {_mm(less)} in the mean, {worse} {_mm(more)}, each over its own volume."
 
 
-def _mm(expected: Mapping[str, Any]) -> str:
-    mean = expected["mean_mm"]
+def _mm(expected: ExpectedAlignment) -> str:
+    mean = expected.mean_mm
     return f"{mean:.0f} mm" if mean >= 100 else f"{mean:.2f} mm"

@@ -44,10 +44,9 @@ def numbers_of(found: Comparison) -> dict[str, Any]:
             {
                 "name": side.name,
                 "verdict": side.verdict.level,
-                "expected": {k: side.expected.get(k) for k in ("of", "mean_mm", "p95_mm", "worst_mm")}
-                if side.expected
-                else None,
-                "measured": dict(side.measured) or None,
+                "expected": side.expected
+                and {k: getattr(side.expected, k) for k in ("of", "mean_mm", "p95_mm", "worst_mm")},
+                "measured": side.measured,
                 "views": side.views,
                 "recording": side.recording,
             }

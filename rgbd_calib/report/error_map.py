@@ -5,7 +5,6 @@ Axes are those of the reference camera: x right, y down, z away from it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.quality import Quality
 from rgbd_calib.report.plots import Figure, axes, css_color, plain
 from rgbd_calib.types import Rig
 
@@ -49,15 +49,15 @@ def top_mm(error_mm: FloatArray) -> float:
     return min(float(np.percentile(error_mm, 98)), TOP_MEDIANS * float(np.median(error_mm))) if len(error_mm) else 1.0
 
 
-def points_of(quality: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+def points_of(quality: Quality) -> tuple[FloatArray, FloatArray]:
     """Points (n, 3), metres, in the reference camera's frame, and their expected error (n,), mm; empty where not known."""
-    grid = quality.get("expected_alignment", {}).get("grid")
-    if not grid:
+    expected = quality.expected_alignment
+    if expected is None or expected.grid is None:
         return np.empty((0, 3)), np.empty(0)
-    return np.array(grid["points_in_reference_m"], float).reshape(-1, 3), np.array(grid["error_mm"], float)
+    return expected.grid.points_in_reference_m.reshape(-1, 3), expected.grid.error_mm
 
 
-def grid_of(quality: Mapping[str, Any]) -> ErrorGrid | None:
+def grid_of(quality: Quality) -> ErrorGrid | None:
     """The grid in a rig file; None where it has none."""
     points_m, error_mm = points_of(quality)
     if not len(points_m):

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
+from rgbd_calib.quality import PairViews
 from rgbd_calib.report.numbers import Cells, ViewResidual
 from rgbd_calib.report.plots import (
     SIGNS,
@@ -83,18 +83,18 @@ def image_depth(cells: Cells, width: int, height: int, top_mm: float) -> Figure:
     return {"data": [trace], "layout": image_layout(0, width, 0, height)}
 
 
-def pair_graph(cameras: Sequence[str], pairs: Sequence[Mapping[str, Any]]) -> Figure:
+def pair_graph(cameras: Sequence[str], pairs: Sequence[PairViews]) -> Figure:
     """Cameras on a circle, joined by the frames that they share."""
     angle = np.pi / 2 - 2 * np.pi * np.arange(len(cameras)) / max(len(cameras), 1)
     place = dict(zip(cameras, np.round(np.column_stack([np.cos(angle), np.sin(angle)]), 3).tolist(), strict=True))
-    most = max([1, *(p["common_frames"] for p in pairs)])
+    most = max([1, *(p.common_frames for p in pairs)])
     traces = []
     notes = []
     for p in pairs:
-        (ax, ay), (bx, by) = (place[name] for name in p["cameras"])
-        if p["common_frames"] == 0:
+        (ax, ay), (bx, by) = (place[name] for name in p.cameras)
+        if p.common_frames == 0:
             continue
-        width = 1 + 7 * p["common_frames"] / most
+        width = 1 + 7 * p.common_frames / most
         traces.append(
             {
                 "type": "scatter",
@@ -110,7 +110,7 @@ def pair_graph(cameras: Sequence[str], pairs: Sequence[Mapping[str, Any]]) -> Fi
             {
                 "x": ax + at * (bx - ax),
                 "y": ay + at * (by - ay),
-                "text": str(p["common_frames"]),
+                "text": str(p.common_frames),
                 "showarrow": False,
                 "bgcolor": "white",
                 "font": {"size": 14},
@@ -141,13 +141,15 @@ def pair_graph(cameras: Sequence[str], pairs: Sequence[Mapping[str, Any]]) -> Fi
     return {"data": [*traces, nodes], "layout": layout}
 
 
-def rounds(history: Sequence[Mapping[str, Any]], key: str, what: str, factor: float, cameras: Sequence[str]) -> Figure:
+def rounds(
+    history: Sequence[Mapping[str, float] | float | None], what: str, factor: float, cameras: Sequence[str]
+) -> Figure:
     """One number over the rounds of weights, by camera where it is so."""
     n = np.arange(1.0, len(history) + 1)
-    by_camera = isinstance(history[-1].get(key), Mapping)
-    series = {name: [row[key].get(name, np.nan) for row in history] for name in cameras} if by_camera else {}
-    if not by_camera:
-        series = {"all cameras": [row.get(key, np.nan) for row in history]}
+    by_camera = isinstance(history[-1], Mapping)
+    series = {"all cameras": [np.nan if isinstance(own, Mapping) or own is None else own for own in history]}
+    if by_camera:
+        series = {c: [own.get(c, np.nan) for own in history if isinstance(own, Mapping)] for c in cameras}
     traces = [line(name, n, factor * np.array(y, float), i) for i, (name, y) in enumerate(series.items())]
     layout = axes("round", what) | {"showlegend": by_camera}
     layout["xaxis"]["dtick"] = max(1, len(n) // 8)

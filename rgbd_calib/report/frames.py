@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rgbd_calib.io.residuals import Residuals
+from rgbd_calib.quality import Quality
 from rgbd_calib.report.numbers import DEPTH, by_view
 
 MAX_ROWS = 2000
@@ -34,21 +35,19 @@ class Frames:
     """Rows that are not shown: those without a fault."""
 
 
-def left_out(quality: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+def left_out(quality: Quality) -> list[tuple[str, str, str]]:
     """(camera, frame, why) of views that were left out, wholly or in part."""
     rows = []
-    for key in ("views_not_associated", "dropped"):
-        for name, frames in quality.get(key, {}).items():
+    for reasons in (quality.views_not_associated, quality.dropped):
+        for name, frames in (reasons or {}).items():
             rows += [(name, frame, why) for frame, why in frames.items()]
-    for view in quality.get("plane_filter", {}).get("dropped_depth", []):
+    for view in quality.plane_filter.dropped_depth if quality.plane_filter is not None else ():
         name, _, frame = view.partition(" ")
         rows.append((name, frame, "depth rejected: it does not lie on the board's plane"))
     return rows
 
 
-def table(
-    left: Residuals | None, quality: Mapping[str, Any], provenance: Mapping[str, Any], cameras: Sequence[str]
-) -> Frames:
+def table(left: Residuals | None, quality: Quality, provenance: Mapping[str, Any], cameras: Sequence[str]) -> Frames:
     """All frames of the recording; those with a fault first where there are too many."""
     reasons: dict[tuple[str, str], list[str]] = {}
     for name, frame, why in left_out(quality):

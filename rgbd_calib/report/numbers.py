@@ -11,7 +11,6 @@ import numpy as np
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.residuals import Residuals
-from rgbd_calib.io.rig import board_in
 from rgbd_calib.trust.verdict import Verdict, judge, limits_in
 from rgbd_calib.types import Board, BoardView, Rig
 from rgbd_calib.views.coverage import Coverage, CoverageParams, PlacedView, place_view, summarize_coverage
@@ -145,7 +144,7 @@ def coverage_of_rig(rig: Rig, placed: Sequence[PlacedView]) -> Coverage:
 
 def placed_views_of_rig(rig: Rig, residuals: Residuals | None) -> list[PlacedView] | None:
     """None where the views, or the board, are not known."""
-    board = board_in(rig.quality)
+    board = rig.quality.board
     if residuals is None or board is None:
         return None
     lenses = {own.name: own.intrinsics for own in sensors_of(rig, residuals)}

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.plain import to_json
 from rgbd_calib.io.residuals import Residuals
-from rgbd_calib.io.rig import board_in
+from rgbd_calib.quality import PairViews, Quality
 from rgbd_calib.report import error_map, figures, frames, numbers, sections
 from rgbd_calib.report.html import jpeg, page
 from rgbd_calib.report.plots import Figure, css_color
@@ -21,6 +21,7 @@ from rgbd_calib.report.view_pictures import ViewPicture
 from rgbd_calib.trust.verdict import USUAL_M, limits_in
 from rgbd_calib.types import Board, Rig
 
+T = TypeVar("T")
 MAX_BYTES = 15_000_000
 """Of the page, so that it can be mailed; of larger ones pictures are left out, and that is said."""
 
@@ -68,14 +69,14 @@ def render(contents: Contents) -> str:
 
 def _render(contents: Contents) -> str:
     rig, quality, left = contents.rig, contents.rig.quality, contents.residuals
-    board = board_in(quality)
+    board = quality.board
     placed = numbers.placed_views_of_rig(rig, left)
     sensors = numbers.sensors_of(rig, left)
     at_m = usual_distance_m(rig, left)
     drawn: dict[str, Figure] = {"scene": _scene(contents, board)}
     verdict = numbers.verdict_of(rig, left)
-    if quality.get("pairs"):
-        drawn["pairs"] = figures.pair_graph(_paired(rig, quality), quality["pairs"])
+    if quality.pairs:
+        drawn["pairs"] = figures.pair_graph(_paired(rig, quality.pairs), quality.pairs)
     sections.rounds(drawn, rig, at_m)
     return page(
         "report.html",
@@ -109,14 +110,14 @@ def _render(contents: Contents) -> str:
 
 def usual_distance_m(rig: Rig, left: Residuals | None) -> float:
     """Where what changes with distance is shown: the working distance, else the median depth, to half a metre."""
-    if "working_distance_m" in rig.quality:
-        return max(0.5, round(2 * float(rig.quality["working_distance_m"])) / 2)
+    if rig.quality.working_distance_m is not None:
+        return max(0.5, round(2 * rig.quality.working_distance_m) / 2)
     used = left.depth_m[left.used_depth] if left is not None else np.empty(0)
     return max(0.5, round(2 * float(np.median(used))) / 2) if len(used) else USUAL_M
 
 
 def _limits(rig: Rig) -> dict[str, float]:
-    own, at_m = limits_in(rig.provenance), float(rig.quality.get("working_distance_m", USUAL_M))
+    own, at_m = limits_in(rig.provenance), rig.quality.working_distance_m or USUAL_M
     return {"good": own.good_mm(at_m), "fair": own.fair_mm(at_m), "noise": own.noise_factor, "at_m": at_m}
 
 
@@ -127,9 +128,9 @@ def _scene(contents: Contents, board: Board | None) -> Figure:
     return scene(rig, contents.boards, board, in_world, error_mm, contents.start, contents.clouds)
 
 
-def _paired(rig: Rig, quality: Mapping[str, Any]) -> list[str]:
+def _paired(rig: Rig, pairs: Sequence[PairViews]) -> list[str]:
     """The rig's cameras, and then others that pairs name, as depth cameras."""
-    named = [name for pair in quality["pairs"] for name in pair["cameras"]]
+    named = [name for pair in pairs for name in pair.cameras]
     return list(dict.fromkeys([*rig.cameras, *named]))
 
 
@@ -149,18 +150,15 @@ def _poses(rig: Rig) -> list[dict[str, Any]]:
     return rows
 
 
-def _pair_rows(quality: Mapping[str, Any]) -> list[dict[str, Any]]:
-    expected = quality.get("expected_alignment", {}).get("pairs", {})
-    measured = quality.get("alignment_on_recording", {}).get("pairs", {})
+def _of_pair(by_pair: Mapping[str, T], a: str, b: str) -> T | None:
+    return by_pair.get(f"{a} - {b}", by_pair.get(f"{b} - {a}"))
+
+
+def _pair_rows(quality: Quality) -> list[dict[str, Any]]:
+    expected = quality.expected_alignment.pairs if quality.expected_alignment is not None else {}
+    measured = quality.alignment_on_recording.pairs if quality.alignment_on_recording is not None else {}
     rows = []
-    for pair in quality.get("pairs", []):
-        a, b = pair["cameras"]
-        keys = (f"{a} - {b}", f"{b} - {a}")
-        rows.append(
-            pair
-            | {
-                "expected": next((expected[k] for k in keys if k in expected), None),
-                "measured": next((measured[k] for k in keys if k in measured), {}),
-            }
-        )
+    for pair in quality.pairs or ():
+        a, b = pair.cameras
+        rows.append({"views": pair, "expected": _of_pair(expected, a, b), "measured": _of_pair(measured, a, b)})
     return rows

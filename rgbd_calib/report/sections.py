@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rgbd_calib.io.residuals import Residuals
+from rgbd_calib.quality import BiasSamples
 from rgbd_calib.report import (
     camera_pages,
     coverage_map,
@@ -30,7 +30,6 @@ from rgbd_calib.views.coverage import Coverage, CoverageParams, PlacedView
 Drawn = dict[str, Figure]
 FIRST_STEPS = 4
 """Of what to do next that are shown at once."""
-_GRADE = re.compile(r" \((good|fair|poor)\)")
 
 
 def verdict_words(verdict: Verdict, cameras: Sequence[str]) -> dict[str, Any]:
@@ -38,13 +37,15 @@ def verdict_words(verdict: Verdict, cameras: Sequence[str]) -> dict[str, Any]:
 
     Where a self-check failed, no number is called good.
     """
-    reasons = list(verdict.reasons)
     if verdict.level == "untrusted":  # the headline is the reason
-        said = verdict.headline.partition(". ")[2].rstrip(".")
-        reasons = [""] + [_GRADE.sub("", text) for text in reasons if said not in text or " Expect " in text]
+        said = verdict.because[0].finding
+        reasons = ["", *(own.ungraded for own in verdict.because if own.finding is None or own.finding != said)]
     else:
-        telling = "Self-checks: " if verdict.level == "good" else f"({verdict.level})"
-        reasons.sort(key=lambda text: telling not in text)
+        good = verdict.level == "good"
+        telling_first = sorted(
+            verdict.because, key=lambda own: not (own.tested if good else own.grade == verdict.level)
+        )
+        reasons = [str(own) for own in telling_first]
     steps = by_camera(list(verdict.next_steps), list(cameras))
     return {"reason": reasons[0] if reasons else "", "reasons": reasons[1:], "steps": steps, "first_steps": FIRST_STEPS}
 
@@ -100,7 +101,7 @@ def coverage(drawn: Drawn, rig: Rig, placed: Sequence[PlacedView]) -> Covered:
 
 def cameras(drawn: Drawn, rig: Rig, left: Residuals | None, start: Rig | None, at_m: float) -> list[dict[str, Any]]:
     """A page for each camera: lens, depth, registration."""
-    samples = rig.quality.get("depth_bias_samples", {})
+    samples = rig.quality.depth_bias_samples or {}
     out = []
     for i, (name, own) in enumerate(rig.cameras.items()):
         lens = own.intrinsics
@@ -185,37 +186,35 @@ def residuals(drawn: Drawn, sensors: Sequence[Sensor], left: Residuals, placed: 
 
 def rounds(drawn: Drawn, rig: Rig, at_m: float) -> None:
     """How the weights settled."""
-    history = rig.quality.get("rounds", [])
+    history = rig.quality.rounds or ()
     if not history:
         return
-    names = sorted({name for row in history for name in row.get("depth_k_per_m", {})}, key=_in_order(rig)) or list(
-        rig.cameras
-    )
-    if "sigma_2d_px" in history[0]:
-        drawn["rounds_px"] = figures.rounds(history, "sigma_2d_px", "pixel noise, px", 1.0, names)
-    if "depth_k_per_m" in history[0]:
-        depth = [{n: r["depth_k_per_m"][n] * at_m**2 for n in names if n in r["depth_k_per_m"]} for r in history]
-    elif "sigma_3d_m" in history[0]:
-        depth = [{n: r["sigma_3d_m"] for n in names} for r in history]
+    names = sorted({name for r in history for name in r.depth_k_per_m or ()}, key=_in_order(rig)) or list(rig.cameras)
+    if history[0].sigma_2d_px is not None:
+        drawn["rounds_px"] = figures.rounds([r.sigma_2d_px for r in history], "pixel noise, px", 1.0, names)
+    if history[0].depth_k_per_m is not None:
+        depth = [{n: k * at_m**2 for n, k in (r.depth_k_per_m or {}).items()} for r in history]
+    elif history[0].sigma_3d_m is not None:
+        depth = [dict.fromkeys(names, r.sigma_3d_m) for r in history if r.sigma_3d_m is not None]
     else:
         return
     pixel = [
-        r["sigma_2d_px"] if isinstance(r["sigma_2d_px"], dict) else dict.fromkeys(names, r["sigma_2d_px"])
+        own if isinstance(own := r.sigma_2d_px, Mapping) else dict.fromkeys(names, own)
         for r in history
-        if "sigma_2d_px" in r
+        if r.sigma_2d_px is not None
     ]
     if len(pixel) != len(depth):
         return
     weight = [{n: 1e3 * d[n] / p[n] for n in d if n in p} for d, p in zip(depth, pixel, strict=True)]
-    drawn["rounds_depth"] = figures.rounds([{"x": d} for d in depth], "x", "depth noise, mm", 1e3, names)
-    drawn["rounds_weight"] = figures.rounds([{"x": w} for w in weight], "x", "mm of depth worth 1 px", 1.0, names)
+    drawn["rounds_depth"] = figures.rounds(depth, "depth noise, mm", 1e3, names)
+    drawn["rounds_weight"] = figures.rounds(weight, "mm of depth worth 1 px", 1.0, names)
 
 
 def _has(left: Residuals | None, name: str) -> bool:
     return left is not None and bool(np.any(left.camera == name))
 
 
-def _samples(samples: Mapping[str, Any], name: str) -> Mapping[str, Any] | None:
+def _samples(samples: Mapping[str, BiasSamples], name: str) -> BiasSamples | None:
     return samples.get(name + DEPTH, samples.get(name))
 
 

@@ -17,11 +17,11 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.correspondences import write_corners
 from rgbd_calib.io.recording import CameraInfo, write_dataset
 from rgbd_calib.io.tables import write_table
+from rgbd_calib.quality import Quality
 from rgbd_calib.simulation.depth_sensor import biased
 from rgbd_calib.simulation.printed import printed
 from rgbd_calib.simulation.realism import IDEAL, Realism
 from rgbd_calib.simulation.rig import Layout, true_rig, with_errors, with_lenses
-from rgbd_calib.simulation.truth import board_truth
 from rgbd_calib.simulation.views import ViewNoise, sensor_reports, true_views
 from rgbd_calib.simulation.wall import Wall, tilted
 from rgbd_calib.types import Board, BoardView, Rig, RigCamera
@@ -125,7 +125,7 @@ def reprinted(scene: Scene, board: Board, rng: np.random.Generator) -> Scene:
     if not scene.realism.has("print"):
         return replace(scene, board=board)
     made = printed(board, scene.realism, rng)
-    return replace(scene, board=made.board, rig=replace(scene.rig, quality={"board": board_truth(made)}))
+    return replace(scene, board=made.board, rig=replace(scene.rig, quality=Quality(board_shape=made.board.shape)))
 
 
 def draw_board(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -17,6 +17,7 @@ from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io import recording as files
 from rgbd_calib.io.rig import write_rig
+from rgbd_calib.quality import Quality, TrueChange
 from rgbd_calib.simulation.changes import SceneChange, scenes
 from rgbd_calib.simulation.color_sensor import Optics, develop
 from rgbd_calib.simulation.depth_sensor import DepthNoise, measure
@@ -196,13 +197,12 @@ def simulate_snapshots(
 
 def _truth(truth: TrueRig, params: SimulationParams, change: SceneChange, changed: dict[str, float]) -> Rig:
     """The rig of the old snapshot, and in `quality.snapshot` what changed."""
-    snapshot: dict[str, Any] = {
-        "T_old_new": {c: change.T_old_new(c).tolist() for c in truth.cameras},
-        "moved": [c for c in truth.cameras if c in change.twists],
-        "changed_share": {c: changed[c] for c in truth.cameras},
-        "light": change.light,
-        "depth_scale": change.depth_scale,
-        "depth_offset_m": change.depth_offset_m,
-    }
-    rig = Rig(truth.cameras[0], truth.rig_cameras, {"snapshot": snapshot}, dict(provenance(params)))
-    return rig
+    snapshot = TrueChange(
+        T_old_new={c: change.T_old_new(c) for c in truth.cameras},
+        moved=tuple(c for c in truth.cameras if c in change.twists),
+        changed_share={c: changed[c] for c in truth.cameras},
+        light=change.light,
+        depth_scale=change.depth_scale,
+        depth_offset_m=change.depth_offset_m,
+    )
+    return Rig(truth.cameras[0], truth.rig_cameras, Quality(snapshot=snapshot), dict(provenance(params)))

@@ -9,7 +9,7 @@ from typing import Any
 
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.rig import write_rig
-from rgbd_calib.io.schema_parts import BoardShapeModel
+from rgbd_calib.quality import Quality
 from rgbd_calib.simulation.printed import Printed
 from rgbd_calib.simulation.rig import TrueRig
 from rgbd_calib.simulation.wall import TapedWall
@@ -31,20 +31,13 @@ def write_truth(
 
     `warm` is the elapsed share of the session by frame.
     """
-    quality: dict[str, Any] = {}
-    if board is not None:
-        quality["board"] = board_truth(board)
-    if any(taped.sd_m for own in walls.values() for taped in own.values()):
-        quality["walls"] = {c: {f: taped.truth for f, taped in own.items()} for c, own in walls.items()}
-    if rig.cold_m:
-        quality["depth_drift"] = {c: {f: rig.drift_m(c, share) for f, share in warm.items()} for c in rig.cold_m}
+    taped_walls = any(taped.sd_m for own in walls.values() for taped in own.values())
+    drift = {c: {f: rig.drift_m(c, share) for f, share in warm.items()} for c in rig.cold_m}
+    quality = Quality(
+        board_shape=None if board is None else board.board.shape,
+        walls={c: {f: taped.truth for f, taped in own.items()} for c, own in walls.items()} if taped_walls else None,
+        depth_drift=drift or None,
+    )
     cameras = {c: replace(own, clock=clocks.get(c)) for c, own in rig.rig_cameras.items()}
     truth = Rig(rig.cameras[0], cameras, quality, dict(provenance))
     write_rig(path, truth, {f: rig.T_world_room @ T for f, T in T_room_board.items()})
-
-
-def board_truth(board: Printed) -> dict[str, Any]:
-    """The board's shape, as a rig file's `quality.board` has it."""
-    shape = board.board.shape
-    assert shape is not None
-    return {"shape": BoardShapeModel.of(shape).model_dump(exclude_none=True)}

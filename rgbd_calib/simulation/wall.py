@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.quality import TrueWall
 from rgbd_calib.simulation import textures
 from rgbd_calib.simulation.render import Picture
 from rgbd_calib.simulation.view import View
@@ -63,9 +63,9 @@ class TapedWall:
         return (f"{self.distance_m:.3f}", f"{self.sd_m:g}") if self.sd_m else (f"{self.distance_m:.4f}",)
 
     @property
-    def truth(self) -> dict[str, Any]:
-        """The plane normal . p = normal_z distance_m in the colour camera's frame, as truth.yaml has it."""
-        return {"distance_m": self.wall.distance_m, "normal": self.wall.normal}
+    def truth(self) -> TrueWall:
+        """For truth.yaml."""
+        return TrueWall(self.wall.distance_m, self.wall.normal)
 
 
 SQUARE = np.array([0.0, 0.0, 1.0])

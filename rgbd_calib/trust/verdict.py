@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any, Literal
 
+from rgbd_calib.quality import AlignmentNumbers, ExpectedAlignment, Finding, Quality
+
 USUAL_M = 2.0
 """Working distance of a rig that does not state its own."""
 MIN_COMMON_FRAMES = 3
@@ -46,12 +48,39 @@ def limits_in(provenance: Mapping[str, Any]) -> VerdictLimits:
 
 
 @dataclass(frozen=True)
+class Reason:
+    """A sentence behind a verdict."""
+
+    text: str
+    """Without its full stop."""
+    grade: Level | None = None
+    """How good the number in it is."""
+    more: str = ""
+    """What follows it, sentences."""
+    finding: Finding | None = None
+    tested: bool = False
+    """It says that the self-checks found nothing."""
+
+    @property
+    def ungraded(self) -> str:
+        return f"{self.text}.{self.more}"
+
+    def __str__(self) -> str:
+        return self.ungraded if self.grade is None else f"{self.text} ({self.grade}).{self.more}"
+
+
+@dataclass(frozen=True)
 class Verdict:
     level: Level
     headline: str
-    reasons: tuple[str, ...]
-    """Sentences, the most important first."""
+    because: tuple[Reason, ...]
+    """The most important first."""
     next_steps: tuple[str, ...]
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Sentences, the most important first."""
+        return tuple(map(str, self.because))
 
     def __str__(self) -> str:
         return self.headline
@@ -63,86 +92,85 @@ class Verdict:
 
 
 def judge(
-    quality: Mapping[str, Any],
+    quality: Quality,
     missing: Sequence[str],
     depth_noise_mm: float | None = None,
     limits: VerdictLimits = VerdictLimits(),
 ) -> Verdict:
-    """Judge a rig's quality; `missing` are sentences of what was not filmed, `depth_noise_mm` is of one corner's depth."""
-    at_m = float(quality.get("working_distance_m", USUAL_M))
+    """Judge a rig's quality; `missing` are sentences of what was not filmed, `depth_noise_mm` is of one corner's depth.
+
+    Raises
+    ------
+    ValueError
+        A part of it is not as expected.
+    """
+    if quality.faults:
+        raise ValueError("; ".join(quality.faults.values()))
+    at_m = quality.working_distance_m or USUAL_M
 
     def level_of(mm: float, factor: float) -> Level:
         if mm <= limits.good_mm(at_m) * factor:
             return "good"
         return "fair" if mm <= limits.fair_mm(at_m) * factor else "poor"
 
-    expected, measured = quality.get("expected_alignment"), quality.get("alignment_on_recording", {}).get("all", {})
+    expected, measured = quality.expected_alignment, quality.measured or AlignmentNumbers(0)
+    by_depth_mm, by_pixels_mm = measured.median_mm, measured.median_board_mm
     levels: list[Level] = []
-    reasons, steps = [], []
-    if expected:
-        levels.append(level_of(expected["mean_mm"], 1.0))
-        reasons.append(
-            f"Expected error, from how well the recording determines every parameter: {_mm(expected['mean_mm'])} in the "
-            f"mean over the working volume ({levels[-1]})."
+    reasons: list[Reason] = []
+    steps: list[str] = []
+    if expected is not None:
+        levels.append(level_of(expected.mean_mm, 1.0))
+        text = (
+            f"Expected error, from how well the recording determines every parameter: {_mm(expected.mean_mm)} in the "
         )
-        if _lower_bound(expected):
-            reasons.append(
-                "That counts the poses alone, intrinsics and depth taken as exact: the real error is larger. The method "
-                "`bundle` counts all of them."
-            )
-    elif "median_mm" in measured:
+        reasons.append(Reason(f"{text}mean over the working volume", levels[-1]))
+        if expected.lower_bound:
+            text = "That counts the poses alone, intrinsics and depth taken as exact: the real error is larger. The method "
+            reasons.append(Reason(f"{text}`bundle` counts all of them"))
+    elif by_depth_mm is not None:
         levels.append("fair")
-        reasons.append("This method does not tell how sure its poses are, so it is fair at best.")
-    if "median_mm" in measured:
-        levels.append(level_of(measured["median_mm"], limits.noise_factor))
+        reasons.append(Reason("This method does not tell how sure its poses are, so it is fair at best"))
+    if by_depth_mm is not None:
+        levels.append(level_of(by_depth_mm, limits.noise_factor))
+        text = f"Measured on the recording itself: two cameras put the same board corner {_mm(by_depth_mm)} apart in the median, "
+        more = f" Single depth readings scatter by {_mm(depth_noise_mm)} here, RMS." if depth_noise_mm else ""
+        reasons.append(Reason(f"{text}the noise of two single depth readings included", levels[-1], more))
+    elif by_pixels_mm is not None:
+        levels.append(level_of(by_pixels_mm, 1.0))
+        text = f"Measured on the recording itself, by pixels: a board that one camera locates is {measured.median_px:.2f} px off "
         reasons.append(
-            f"Measured on the recording itself: two cameras put the same board corner {_mm(measured['median_mm'])} apart "
-            f"in the median, the noise of two single depth readings included ({levels[-1]})."
-            + (f" Single depth readings scatter by {_mm(depth_noise_mm)} here, RMS." if depth_noise_mm else "")
-        )
-    elif "median_board_mm" in measured:
-        levels.append(level_of(measured["median_board_mm"], 1.0))
-        reasons.append(
-            f"Measured on the recording itself, by pixels: a board that one camera locates is {measured['median_px']:.2f} px off "
-            f"in another camera, or {_mm(measured['median_board_mm'])} at the board, in the median ({levels[-1]})."
+            Reason(f"{text}in another camera, or {_mm(by_pixels_mm)} at the board, in the median", levels[-1])
         )
     if levels:
-        reasons.append(
-            f"Limits at the working distance of {at_m:.1f} m: good up to {_mm(limits.good_mm(at_m))}, fair up to "
-            f"{_mm(limits.fair_mm(at_m))}"
-            + (
-                f"; {limits.noise_factor:g} times that for distances measured by depth."
-                if "median_mm" in measured
-                else "."
-            )
-        )
-    if scale := quality.get("self_check", {}).get("scale"):
-        reasons.append(
-            f"Absolute scale depends on the board: by the depth its squares are {round(scale['percent'], 3) + 0.0:+.3f} ± "
-            f"{scale['sd_percent']:.3f} % from what was stated, or {_mm(10 * scale['sd_percent'] * scale['distance_m'])} at "
-            f"{scale['distance_m']:.1f} m (one sigma)."
-        )
+        text = f"good up to {_mm(limits.good_mm(at_m))}, fair up to {_mm(limits.fair_mm(at_m))}"
+        if by_depth_mm is not None:
+            text += f"; {limits.noise_factor:g} times that for distances measured by depth"
+        reasons.append(Reason(f"Limits at the working distance of {at_m:.1f} m: {text}"))
+    checks = quality.self_check
+    if checks is not None and (scale := checks.scale) is not None:
+        text = f"by the depth its squares are {round(scale.percent, 3) + 0.0:+.3f} ± {scale.sd_percent:.3f} % from what was stated"
+        mm = _mm(10 * scale.sd_percent * scale.distance_m)
+        text = f"Absolute scale depends on the board: {text}, or {mm} at {scale.distance_m:.1f} m (one sigma)"
+        reasons.append(Reason(text))
     weak, advice = _weaknesses(quality)
     reasons += weak
     steps += advice
-    checks = quality.get("self_check", {})
-    found = checks.get("findings", [])
-    if found:
-        levels.append("fair" if checks["trusted"] else "untrusted")
+    found = checks.findings if checks is not None else ()
+    if checks is not None and found:
+        levels.append("fair" if checks.trusted else "untrusted")
         reasons = [_finding(own) for own in found] + reasons
-        steps = [_sentence(own["advice"]) for own in found if own["advice"]] + steps
-    elif checks.get("tested"):
-        reasons.append(
-            f"Self-checks: {checks['tested']} tests of the residuals (over the image, the range, time and cameras, and with "
-            "parts of the recording held out) found nothing that the stated errors leave out."
-        )
-    reasons += [_sentence(text) for text in quality.get("corrected", [])]
+        steps = [_sentence(own.advice) for own in found if own.advice] + steps
+    elif checks is not None and checks.tested:
+        text = f"Self-checks: {checks.tested} tests of the residuals (over the image, the range, time and cameras, and with parts "
+        text += "of the recording held out) found nothing that the stated errors leave out"
+        reasons.append(Reason(text, tested=True))
+    reasons += [Reason(own.text.removesuffix(".")) for own in quality.corrected or ()]
     if weak and levels:
         levels.append("fair")
     level: Level = max(levels, key=_ORDER.index) if levels else "unknown"
-    if level in ("fair", "poor") and expected:
+    if level in ("fair", "poor") and expected is not None:
         steps += _worst_pair(expected)
-    wanted = [_sentence(text) for text in (*quality.get("not_observable", []), *missing)]
+    wanted = [_sentence(text) for text in (*(quality.not_observable or ()), *missing)]
     steps += [f"To make it better: {text}" for text in wanted] if level == "good" else wanted
     if level == "unknown":
         steps.insert(0, "Record depth too, and calibrate with it: without it no error in mm can be given.")
@@ -150,35 +178,28 @@ def judge(
         steps.insert(0, "Use it. Whenever the rig may have been touched: `rgbd-calib verify RIG.yaml NEW_RECORDING`.")
     else:
         steps.append("Film what is asked for above, add it to the recording, and calibrate again.")
-    headline = (
-        f"Do not trust this. {found[0]['text']}." if level == "untrusted" else _headline(level, expected, measured)
-    )
+    headline = f"Do not trust this. {found[0].text}." if level == "untrusted" else _headline(level, expected, measured)
     return Verdict(level, headline, tuple(reasons), tuple(steps))
 
 
-def _finding(own: Mapping[str, Any]) -> str:
-    if own["level"] == "distrust":
-        return f"Self-check ({own['check']}): {_sentence(own['text'])}"
-    more = f" Expect {_mm(own['effect_mm'])} more than the stated error." if "effect_mm" in own else ""
-    return f"Self-check ({own['check']}): {_sentence(own['text'])}{more}"
-
-
-def _lower_bound(expected: Mapping[str, Any]) -> bool:
-    return str(expected["of"]).startswith("poses alone")
+def _finding(own: Finding) -> Reason:
+    added = own.level == "caution" and own.effect_mm is not None
+    more = f" Expect {_mm(own.effect_mm or 0.0)} more than the stated error." if added else ""
+    return Reason(f"Self-check ({own.check}): {own.text.removesuffix('.')}", more=more, finding=own)
 
 
 def _mm(value: float) -> str:
     return f"{value:.1f} mm" if value >= 1 else f"{value:.2f} mm"
 
 
-def _headline(level: Level, expected: Mapping[str, Any] | None, measured: Mapping[str, Any]) -> str:
-    if expected and not (_lower_bound(expected) and "median_mm" in measured):
-        number = f"two cameras are expected to put the same point {_mm(expected['mean_mm'])} apart "
+def _headline(level: Level, expected: ExpectedAlignment | None, measured: AlignmentNumbers) -> str:
+    if expected is not None and not (expected.lower_bound and measured.median_mm is not None):
+        number = f"two cameras are expected to put the same point {_mm(expected.mean_mm)} apart "
         number += "inside the volume that the boards went through"
-    elif "median_mm" in measured:
-        number = f"two cameras put the same point {_mm(measured['median_mm'])} apart, sensor noise included"
-    elif "median_board_mm" in measured:
-        number = f"two cameras put the same point {_mm(measured['median_board_mm'])} apart at the board, across the line of sight"
+    elif measured.median_mm is not None:
+        number = f"two cameras put the same point {_mm(measured.median_mm)} apart, sensor noise included"
+    elif measured.median_board_mm is not None:
+        number = f"two cameras put the same point {_mm(measured.median_board_mm)} apart at the board, across the line of sight"
     else:
         number = "the recording has no depth that two cameras share, so no error in mm is known"
     words = {
@@ -190,29 +211,27 @@ def _headline(level: Level, expected: Mapping[str, Any] | None, measured: Mappin
     return f"{words[level]} On average, {number}." if level != "unknown" else f"{words[level]} {number.capitalize()}."
 
 
-def _weaknesses(quality: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+def _weaknesses(quality: Quality) -> tuple[list[Reason], list[str]]:
     reasons, steps = [], []
-    if quality.get("status") in ("max_rounds", "round_limit"):
-        reasons.append(f"The solution had not settled: {quality.get('message', '')}.")
+    if quality.status in ("max_rounds", "round_limit"):
+        reasons.append(Reason(f"The solution had not settled: {quality.message or ''}"))
         steps.append("Look at the dropped views and the residuals for a camera or frame that does not fit.")
     tied: dict[str, int] = {}
-    for pair in quality.get("pairs", []):
-        for name in pair["cameras"]:
-            tied[name] = max(tied.get(name, 0), pair["agreeing"])
+    for pair in quality.pairs or ():
+        for name in pair.cameras:
+            tied[name] = max(tied.get(name, 0), pair.agreeing)
     for name, frames in tied.items():
         if frames < MIN_COMMON_FRAMES:
-            reasons.append(f"{name} is tied to the rig by {frames} common frame(s) with one other camera.")
+            reasons.append(Reason(f"{name} is tied to the rig by {frames} common frame(s) with one other camera"))
             steps.append(
                 f"Hold the board where {name} and a neighbour both see it, in {MIN_COMMON_FRAMES} or more poses."
             )
     return reasons, steps
 
 
-def _worst_pair(expected: Mapping[str, Any]) -> list[str]:
-    pair, own = max(expected["pairs"].items(), key=lambda item: item[1]["mean_mm"])
-    return [
-        f"The weakest pair is {pair} ({_mm(own['mean_mm'])}): show the board to both, near and far, tilted both ways."
-    ]
+def _worst_pair(expected: ExpectedAlignment) -> list[str]:
+    pair, own = max(expected.pairs.items(), key=lambda item: item[1].mean_mm)
+    return [f"The weakest pair is {pair} ({_mm(own.mean_mm)}): show the board to both, near and far, tilted both ways."]
 
 
 def _sentence(text: str) -> str:

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from rgbd_calib.io.residuals import Residuals
+from rgbd_calib.quality import BoardScale, Finding, HeldOutPart, ScoreOutcome, SelfCheck
 from rgbd_calib.rig.biobjective import RefinementResult
 from rgbd_calib.rig.motion.problem import MotionProblem
 from rgbd_calib.rig.solution import Solution
 from rgbd_calib.trust.self_check import (
     Equations,
-    Finding,
     Noise,
     Outcome,
-    SelfCheck,
     SelfCheckParams,
     check_clipped,
     check_copies,
@@ -49,8 +48,8 @@ def of_calibration(
     stated_mm: float,
     params: SelfCheckParams,
     of_images: Sequence[Finding] = (),
-) -> dict[str, Any]:
-    """What the checks say of a calibration, for its quality; `solution` is None where nothing was refined.
+) -> SelfCheck:
+    """What the checks say of a calibration; `solution` is None where nothing was refined.
 
     A bundle is checked with its rigid board, also where its structure was freed afterwards. `of_images` is what the images
     showed beside the corners.
@@ -59,12 +58,12 @@ def of_calibration(
         try:
             check = check_bundle(solution, board, views, association, frames_in_time, stated_mm, params)
         except np.linalg.LinAlgError as error:
-            check = SelfCheck((_not_checked(error),), {"tested": 0})
+            check = with_findings(SelfCheck(True, (), tested=0), [_not_checked(error)])
     else:
         sigmas_px = _sigmas_px(solution)
         factors = _factors(solution) if isinstance(solution, RefinementResult) else {}
         check = check_refined(residuals, sigmas_px, factors, views, association, board, frames_in_time, params)
-    return as_quality(SelfCheck(_ordered([*check.findings, *of_images]), check.statistics))
+    return with_findings(check, [*check.findings, *of_images])
 
 
 def _not_checked(error: Exception) -> Finding:
@@ -134,34 +133,36 @@ def check_bundle(
         *check_groups(ratios, params),
         *wrong_walls,
     ]
-    statistics = {
-        "scale": _scale(eq, tests),
-        "tests": [
-            {
-                "test": t.hypothesis.name,
-                "camera": t.hypothesis.cameras[0] if len(t.hypothesis.cameras) == 1 else None,
-                "chi2": round(t.score.statistic, 2),
-                "dof": t.score.dof,
-                "p": float(f"{t.score.p:.2g}"),
-                "effect_mm": round(1e3 * t.score.effect_m, 3),
-            }
+    statistics = SelfCheck(
+        True,
+        (),
+        scale=_scale(eq, tests),
+        tests=tuple(
+            ScoreOutcome(
+                test=t.hypothesis.name,
+                camera=t.hypothesis.cameras[0] if len(t.hypothesis.cameras) == 1 else None,
+                chi2=round(t.score.statistic, 2),
+                dof=t.score.dof,
+                p=_two_digits(t.score.p),
+                effect_mm=round(1e3 * t.score.effect_m, 3),
+            )
             for t in _worst(tests)
-        ],
-        "tested": len(tests) + params.folds,
-        "held_out": [
-            {
-                "frames": f"{f.first} to {f.last}",
-                "chi2": round(f.chi2, 2),
-                "dof": f.dof,
-                "others": round(f.others, 2),
-                "p": float(f"{f.p:.2g}"),
-                "moves_mm": round(f.moves_mm, 3),
-            }
+        ),
+        tested=len(tests) + params.folds,
+        held_out=tuple(
+            HeldOutPart(
+                frames=f"{f.first} to {f.last}",
+                chi2=round(f.chi2, 2),
+                dof=f.dof,
+                others=round(f.others, 2),
+                p=_two_digits(f.p),
+                moves_mm=round(f.moves_mm, 3),
+            )
             for f in folds
-        ],
-        "noise_of_parts": {f"{camera} {kind} {part}": round(r, 3) for (camera, kind, part), r in ratios.items()},
-    }
-    return SelfCheck(_ordered(findings), statistics)
+        ),
+        noise_of_parts=_named(ratios),
+    )
+    return with_findings(statistics, findings)
 
 
 def check_refined(
@@ -184,11 +185,10 @@ def check_refined(
         *check_noise(noise, params, 0.0),
         *check_groups(ratios, params),
     ]
-    named = {f"{camera} {kind} {part}": round(r, 3) for (camera, kind, part), r in ratios.items()}
-    return SelfCheck(_ordered(findings), {"tested": 0, "noise_of_parts": named})
+    return with_findings(SelfCheck(True, (), tested=0, noise_of_parts=_named(ratios)), findings)
 
 
-def of_correspondences(refined: RefinementResult, data: Correspondences, params: SelfCheckParams) -> dict[str, Any]:
+def of_correspondences(refined: RefinementResult, data: Correspondences, params: SelfCheckParams) -> SelfCheck:
     """What the checks say of an estimate from bare correspondences, whose noise may be any."""
     frames = sorted({frame for frame, _ in data.labels})
     at = {name: k for k, name in enumerate(frames)}
@@ -210,8 +210,7 @@ def of_correspondences(refined: RefinementResult, data: Correspondences, params:
                 depth = None if z is None else z[used]
                 ratios |= parts(name, kind, r[used], place, depth, time_index[point], len(frames), params)
     findings = [*check_factors(_factors(refined), params), *check_groups(ratios, params)]
-    named = {f"{camera} {kind} {part}": round(r, 3) for (camera, kind, part), r in ratios.items()}
-    return as_quality(SelfCheck(_ordered(findings), {"tested": 0, "noise_of_parts": named}))
+    return with_findings(SelfCheck(True, (), tested=0, noise_of_parts=_named(ratios)), findings)
 
 
 def _factors(refined: RefinementResult) -> dict[str, tuple[float, float]]:
@@ -221,26 +220,18 @@ def _factors(refined: RefinementResult) -> dict[str, tuple[float, float]]:
     }
 
 
-def as_quality(check: SelfCheck) -> dict[str, Any]:
-    """For a rig file."""
-    return {
-        "self_check": {
-            "trusted": check.trusted,
-            "findings": [
-                {
-                    "check": f.check,
-                    "level": f.level,
-                    "cameras": list(f.cameras),
-                    "text": f.text,
-                    "advice": f.advice,
-                    **({} if f.effect_mm is None else {"effect_mm": f.effect_mm}),
-                    **({} if f.p is None else {"p": float(f"{f.p:.2g}")}),
-                }
-                for f in check.findings
-            ],
-            **check.statistics,
-        }
-    }
+def with_findings(check: SelfCheck, findings: Sequence[Finding]) -> SelfCheck:
+    """The same with all of these findings, and what they mean."""
+    own = sorted((replace(f, p=f.p and _two_digits(f.p)) for f in findings), key=lambda f: f.level != "distrust")
+    return replace(check, trusted=all(f.level != "distrust" for f in own), findings=tuple(own))
+
+
+def _named(ratios: Mapping[tuple[str, str, str], float]) -> dict[str, float]:
+    return {" ".join(part): round(ratio, 3) for part, ratio in ratios.items()}
+
+
+def _two_digits(p: float) -> float:
+    return float(f"{p:.2g}")
 
 
 def _before(
@@ -272,20 +263,14 @@ def _before(
     ]
 
 
-def _scale(eq: Equations, tests: Sequence[Outcome]) -> dict[str, float]:
-    """How long the board's squares are by the depth, and how sure that is: distances as such are known no better."""
+def _scale(eq: Equations, tests: Sequence[Outcome]) -> BoardScale | None:
     score = next(t.score for t in tests if t.hypothesis.name == "scale")
     if not score.dof:
-        return {}
-    return {
-        "percent": round(100 * float(score.estimate[0]), 4),
-        "sd_percent": round(100 * float(np.sqrt(score.covariance[0, 0])), 4),
-        "distance_m": round(usual_distance_m(eq), 3),
-    }
-
-
-def _ordered(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    return tuple(sorted(findings, key=lambda f: f.level != "distrust"))
+        return None
+    sd = float(np.sqrt(score.covariance[0, 0]))
+    return BoardScale(
+        round(100 * float(score.estimate[0]), 4), round(100 * sd, 4), distance_m=round(usual_distance_m(eq), 3)
+    )
 
 
 def _worst(tests: Sequence[Outcome]) -> list[Outcome]:

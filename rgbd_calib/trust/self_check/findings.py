@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
 
+from rgbd_calib.quality import Finding as Finding
+from rgbd_calib.quality import Level as Level
+from rgbd_calib.quality import SelfCheck as SelfCheck
 from rgbd_calib.views.depth_scale import CLIPPED_SHARE, CLIPPED_WIDTH
-
-Level = Literal["caution", "distrust"]
 
 
 @dataclass(frozen=True)
@@ -62,32 +61,3 @@ class SelfCheckParams:
 
     max_clipped_share: float = CLIPPED_SHARE
     clipped_width: float = CLIPPED_WIDTH
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something is not as the model says."""
-
-    check: str
-    level: Level
-    cameras: tuple[str, ...]
-    text: str
-    """What is seen, and what that means."""
-    advice: str
-    effect_mm: float | None = None
-    p: float | None = None
-    """Chance of it where all is well, in one test."""
-
-
-@dataclass(frozen=True)
-class SelfCheck:
-    """The outcome of all checks of a result."""
-
-    findings: tuple[Finding, ...]
-    """Those that matter most first."""
-    statistics: Mapping[str, Any]
-    """Plain numbers: each test's statistic, degrees of freedom, p and effect."""
-
-    @property
-    def trusted(self) -> bool:
-        return not any(finding.level == "distrust" for finding in self.findings)
