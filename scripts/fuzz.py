@@ -18,7 +18,7 @@ from typing import Any
 
 import click
 
-SEEDS = Path(__file__).parents[1] / "tests" / "fuzz_seeds"
+SEEDS = Path(__file__).parents[1] / "tests" / "builders" / "fuzz_seeds"
 PER_EXAMPLE = 100
 BY_BYTES = (
     "YAML bytes",
@@ -81,7 +81,7 @@ def main(inputs: int, seed: int, only: tuple[str, ...], save: Path | None, as_js
     """Print, for each parser: inputs tried, faults found, mended and left.
 
     A fault is an exception that is not for users, a warning, more than 10 s or 1 GiB, or the end of the process. Mended
-    are those that tests/fuzz_seeds holds and that do no harm any more.
+    are those that tests/builders/fuzz_seeds holds and that do no harm any more.
     """
     if child is not None:
         run = _by_bytes if only[0] in BY_BYTES else _by_structure

@@ -375,7 +375,7 @@ def _threads(t: Trial) -> str:
     return "poses equal" if found[0] == found[1] else "**poses differ**"
 
 
-@kind(16, "the preview's server: Host, token, idle connections (`pytest tests/test_serving.py`)")
+@kind(16, "the preview's server: Host, token, idle connections (`pytest tests/io/test_serving.py`)")
 def _serving(t: Trial) -> str:
     tests = Path(t.env["PYTHONPATH"]) / "tests" / "test_serving.py"
     if not tests.exists():

@@ -95,7 +95,9 @@ def score(
     module: str, copy: Path, folder: Path, mutants: int, seed: int, timeout: float
 ) -> tuple[dict[str, object], list[str]]:
     """One row, and the differences that no test noticed."""
-    tests = " ".join(f"tests/{test}" for test in GUARDS[module].split())
+    tests = " ".join(
+        str(path.relative_to(copy)) for test in GUARDS[module].split() for path in (copy / "tests").rglob(test)
+    )
     config, session = folder / "config.toml", folder / f"{module.replace('/', '.')}.sqlite"
     command = f"{sys.executable} -m pytest -x -q -p no:cacheprovider -m 'not slow' {tests}"
     config.write_text(

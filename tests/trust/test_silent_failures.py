@@ -11,7 +11,7 @@ import pytest
 
 from rgbd_calib.simulation.faults import FAULTS
 
-_PATH = Path(__file__).parents[1] / "scripts" / "study_silent_failures.py"
+_PATH = Path(__file__).parents[2] / "scripts" / "study_silent_failures.py"
 sys.path.insert(0, str(_PATH.parent))
 _SPEC = importlib.util.spec_from_file_location("study_silent_failures", _PATH)
 assert _SPEC is not None

@@ -8,7 +8,7 @@ from pathlib import Path
 from rgbd_calib.io.files import load_yaml
 from rgbd_calib.pipeline.config import Config, as_plain, load_config
 
-CONFIGS = Path(__file__).parents[1] / "configs"
+CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 def test_defaults_are_written_out_whole() -> None:

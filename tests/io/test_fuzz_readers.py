@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
+SCRIPTS = Path(__file__).parents[2] / "scripts"
 sys.path.insert(0, str(SCRIPTS))
 
 import fuzz  # noqa: E402
@@ -25,7 +25,7 @@ from rgbd_calib.io.images import decode_image  # noqa: E402
 from rgbd_calib.io.schema_base import check_name  # noqa: E402
 from rgbd_calib.io.tables import number  # noqa: E402
 
-SEEDS = sorted((Path(__file__).parent / "fuzz_seeds").iterdir())
+SEEDS = sorted((Path(__file__).parents[1] / "builders" / "fuzz_seeds").iterdir())
 LINE = Path("table.csv"), 2
 
 

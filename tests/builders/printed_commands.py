@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rgbd_calib.cli.main import COMMANDS, cli
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PROGRAMS = ("rgbd-calib", "python", "scripts/demo", "scripts/test")
 MARKER = re.compile(r"<!-- run: (?P<how>[^;>]+?)(; (?P<why>[^>]+?))? -->\s*$")
 

@@ -99,10 +99,11 @@ def test_what_kills_every_process_is_named():
 
 def test_workers_end_with_a_parent_that_was_killed(tmp_path):
     code = (
-        "import sys; sys.path.insert(0, sys.argv[1]); from pathlib import Path; import test_workers as t\n"
-        "list(t.Workers(2).in_order(t.wait_here, [(Path(sys.argv[2]), x) for x in range(t.FEW + 2)]))"
+        "import sys; sys.path[:0] = sys.argv[1:3]; from pathlib import Path; import test_workers as t\n"
+        "list(t.Workers(2).in_order(t.wait_here, [(Path(sys.argv[3]), x) for x in range(t.FEW + 2)]))"
     )
-    parent = subprocess.Popen([sys.executable, "-c", code, str(Path(__file__).parent), str(tmp_path)])
+    here = Path(__file__).parent
+    parent = subprocess.Popen([sys.executable, "-c", code, here, here.parent / "builders", tmp_path])
     try:
         wait_for(lambda: len(list(tmp_path.iterdir())) == 2)
     finally:

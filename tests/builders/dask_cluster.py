@@ -22,11 +22,12 @@ class Cluster:
 
     def __init__(self, folder):
         self.folder, self.processes = folder, []
-        here = Path(__file__).parent
+        tests = Path(__file__).parents[1]
+        folders = [tests.parent, *(path for path in tests.iterdir() if path.is_dir())]
         self.environment = os.environ | {
             "DASK_DISTRIBUTED__WORKER__MEMORY__TERMINATE": "False",
             # the functions above, the package that is tested, and what this process imports
-            "PYTHONPATH": os.pathsep.join(filter(None, [str(here), str(here.parent), os.environ.get("PYTHONPATH")])),
+            "PYTHONPATH": os.pathsep.join([*map(str, folders), *filter(None, [os.environ.get("PYTHONPATH")])]),
         }
         self._start("scheduler", "--port", "0", "--scheduler-file", folder / "scheduler.json", "--no-dashboard")
         wait_for((folder / "scheduler.json").exists)
