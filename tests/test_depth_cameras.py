@@ -19,6 +19,7 @@ from rgbd_calib.io.layout import KINDS
 from rgbd_calib.io.recording import Recording, open_recording
 from rgbd_calib.io.rig import read_rig
 from rgbd_calib.pipeline.depth_cameras import by_device, joined, name_of, split, split_rig
+from rgbd_calib.quality import AlignmentNumbers
 from rgbd_calib.rig.bundle import bundle, problem_of
 from rgbd_calib.rig.setup import BundleParams, CameraPrior, MountPrior
 from rgbd_calib.simulation.views import true_views
@@ -160,14 +161,14 @@ def test_split_makes_two_cameras_and_joined_makes_one_again(tmp_path: Path) -> N
 
 def test_pairs_are_told_by_device() -> None:
     pairs = {
-        "C1 - C1/depth": {"points": 0, "median_px": 0.1},
-        "C1 - C2": {"points": 0, "median_px": 0.2},
-        "C1/depth - C2/depth": {"points": 5, "mean_mm": 1.0},
-        "C1 - C2/depth": {"points": 0},
+        "C1 - C1/depth": AlignmentNumbers(0, median_px=0.1),
+        "C1 - C2": AlignmentNumbers(0, median_px=0.2),
+        "C1/depth - C2/depth": AlignmentNumbers(5, mean_mm=1.0),
+        "C1 - C2/depth": AlignmentNumbers(0),
     }
     assert by_device(pairs) == {
-        "C1 - C1/depth": {"points": 0, "median_px": 0.1},
-        "C1 - C2": {"points": 5, "median_px": 0.2, "mean_mm": 1.0},
+        "C1 - C1/depth": AlignmentNumbers(0, median_px=0.1),
+        "C1 - C2": AlignmentNumbers(5, median_px=0.2, mean_mm=1.0),
     }
 
 
