@@ -20,7 +20,7 @@ from rgbd_calib.geometry.depth_image import DepthImage
 from rgbd_calib.geometry.depth_sensor import DepthCamera as DepthCamera
 from rgbd_calib.geometry.depth_sensor import DepthSensor as DepthSensor
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.quality import Quality
+from rgbd_calib.quality import CameraStatistics, Quality
 
 IntArray = np.ndarray
 
@@ -105,8 +105,7 @@ class RigCamera:
     """(6, 6) of the left perturbation (rad, m) of T_world_color in the world frame; zeros for the reference."""
     depth_bias: DepthBias | None = None
     """None: the sensor's depth is taken as it is."""
-    statistics: dict[str, Any] = field(default_factory=dict)
-    """Plain numbers by name, such as sigma_2d_px, sigma_3d_m, views, observations."""
+    statistics: CameraStatistics = field(default_factory=CameraStatistics)
     depth_field: DepthField | None = None
     """What its depth errs by over the image."""
     depth_camera: DepthCamera | None = None

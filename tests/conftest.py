@@ -20,7 +20,7 @@ from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics, rays
 from rgbd_calib.io.recording import CameraInfo, save_color, save_depth, write_dataset
 from rgbd_calib.io.rig import write_rig
-from rgbd_calib.quality import Quality
+from rgbd_calib.quality import CameraStatistics, Quality
 from rgbd_calib.types import Board, DepthBias, Rig, RigCamera
 
 # the same examples on every run, and no time limit for one: machines that run tests are busy
@@ -104,7 +104,9 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Tiny:
         "C3": se3.make(so3.exp(np.array([-0.1, 0.3, 0.0])), np.array([-0.5, 0.0, 0.1])),
     }
     biases = {"C1": bias, "C2": bias, "C3": None}
-    cameras = {n: RigCamera(lens, T, np.zeros((6, 6)), biases[n], {"sigma_2d_px": 0.3}) for n, T in poses.items()}
+    cameras = {
+        n: RigCamera(lens, T, np.zeros((6, 6)), biases[n], CameraStatistics(sigma_2d_px=0.3)) for n, T in poses.items()
+    }
     rig = Rig("C1", cameras, Quality(other={"views": 2}), {"seed": 0})
     normal, offset_m = np.array([0.1, -0.2, 0.9]) / np.linalg.norm([0.1, -0.2, 0.9]), 1.5
     colors_bgr = {"C1": (10, 20, 200), "C2": (20, 200, 10), "C3": (200, 20, 10)}

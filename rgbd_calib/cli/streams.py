@@ -115,12 +115,15 @@ def _logging() -> Iterator[None]:
         def emit(self, record: logging.LogRecord) -> None:
             say(record.getMessage(), always=record.levelno >= logging.WARNING)
 
-    logger, handler = logging.getLogger("rgbd_calib"), Said(logging.INFO)
+    logger, handler = logging.getLogger("rgbd_calib"), Said()
+    level = logger.level
     logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
     try:
         yield
     finally:
         logger.removeHandler(handler)
+        logger.setLevel(level)
 
 
 def results_apart(callback: Callable[..., Any]) -> Callable[..., Any]:

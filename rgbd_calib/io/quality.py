@@ -17,7 +17,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.plain import plain
 from rgbd_calib.io.schema_parts import BoardModel, BoardShapeModel
 from rgbd_calib.io.tables import short
-from rgbd_calib.quality import Quality
+from rgbd_calib.quality import CameraStatistics, Quality
 from rgbd_calib.types import Board, BoardShape
 
 _KINDS = "corrected_kinds"
@@ -43,17 +43,30 @@ def quality_of(data: Mapping[str, Any]) -> Quality:
         form["corrected"] = [{"text": t, "kind": k} for t, k in zip_longest(texts, kinds)]
     if isinstance(board := data.get("board"), Mapping) and set(board) == {"shape"}:
         form["board_shape"] = form.pop("board")["shape"]
-    keys, known, other, faults = _keys(Quality), {}, {}, {}
-    for key, value in form.items():
+    known, other, faults = _fitting(Quality, form)
+    for key in faults:
+        other |= {own: data[own] for own in (key, _KINDS if key == "corrected" else key) if own in data}
+    return Quality(**known, other=other, faults=faults)
+
+
+def statistics_of(data: Mapping[str, Any]) -> CameraStatistics:
+    """What a rig file says of a camera beside its parameters; what is not as expected stays in `other`."""
+    known, other, _ = _fitting(CameraStatistics, data)
+    return CameraStatistics(**known, other=other)
+
+
+def _fitting(kind: type, data: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any], dict[str, str]]:
+    """Values that fit a record's fields, the others as they are, and why those do not fit that have a field's name."""
+    keys, known, other, faults = _keys(kind), {}, {}, {}
+    for key, value in data.items():
         if key not in keys:
             other[key] = value
             continue
         try:
-            known[key] = _read(keys[key][1], value, key)
+            known[keys[key][0]] = _read(keys[key][1], value, key)
         except (TypeError, ValueError) as error:
-            faults[key] = str(error)
-            other |= {own: data[own] for own in (key, _KINDS if key == "corrected" else key) if own in data}
-    return Quality(**known, other=other, faults=faults)
+            other[key], faults[key] = value, str(error)
+    return known, other, faults
 
 
 def board_fields(quality: Mapping[str, Any]) -> dict[str, Any] | None:

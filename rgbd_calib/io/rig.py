@@ -12,8 +12,8 @@ from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry import so3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.io.files import dump_yaml, load_yaml, write_text
-from rgbd_calib.io.quality import quality_data, quality_of
+from rgbd_calib.io.files import dump_yaml, load_yaml, plain, write_text
+from rgbd_calib.io.quality import quality_data, quality_of, statistics_of
 from rgbd_calib.io.schema_base import parse
 from rgbd_calib.io.schema_parts import (
     DepthBiasModel,
@@ -102,7 +102,7 @@ def read_rig(path: Path) -> Rig:
             np.array(camera.T_world_color),
             np.zeros((6, 6)) if camera.covariance is None else np.array(camera.covariance),
             camera.depth_bias.value() if camera.depth_bias else None,
-            {k: v for k, v in camera.model_dump(exclude_none=True).items() if k not in _KNOWN},
+            statistics_of({k: v for k, v in camera.model_dump(exclude_none=True).items() if k not in _KNOWN}),
             camera.depth_field.value() if camera.depth_field else None,
             camera.depth.value() if camera.depth else None,
             camera.clock.value() if camera.clock else None,
@@ -202,7 +202,7 @@ def camera_entry(camera: RigCamera) -> dict[str, Any]:
         entry["depth"] = DepthCameraModel.of(camera.depth_camera).model_dump(exclude_none=True)
     if camera.clock is not None:
         entry["clock"] = ClockModel.of(camera.clock).model_dump()
-    return entry | camera.statistics
+    return entry | plain(camera.statistics)
 
 
 def _write_part(path: Path, cameras: dict[str, Any], quality: Mapping[str, Any], provenance: Mapping[str, Any]) -> None:

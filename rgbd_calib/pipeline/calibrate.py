@@ -35,8 +35,9 @@ from rgbd_calib.pipeline.prepare import (
     resolve_depth,
     resolve_intrinsics,
 )
-from rgbd_calib.pipeline.quality import bundle_quality, initial_quality, with_views
+from rgbd_calib.pipeline.quality import bundle_quality, finite, initial_quality, with_views
 from rgbd_calib.pipeline.workers import Workers
+from rgbd_calib.quality import CameraStatistics
 from rgbd_calib.rig.biobjective import RefinementParams, RefinementResult, refine
 from rgbd_calib.rig.bundle import bundle, free_structure
 from rgbd_calib.rig.initialization import initialize
@@ -358,7 +359,7 @@ def rig_of_bundle(solved: Solution, reference: str) -> Rig:
             solved.T_world_color(name),
             solved.pose_covariance(name),
             solved.depth_bias(name),
-            plain(solved.camera_statistics(name)),
+            solved.camera_statistics(name),
             solved.depth_field(name),
             solved.depth_camera(name),
         )
@@ -381,10 +382,10 @@ def _rig_of_refinement(refined: RefinementResult, views: Views, reference: str) 
     rig = _rig_of_poses(refined.T_world_color, refined.covariance, views, reference)
     cameras = {}
     for name, own in rig.cameras.items():
-        both = {"sigma_2d_px": refined.sigmas_2d_px[name], "sigma_3d_m": refined.sigmas_3d_m[name]}
-        sigmas = {key: sigma for key, sigma in both.items() if np.isfinite(sigma)}
-        model = {"sigma_3d_model": "isotropic, for each coordinate"} if "sigma_3d_m" in sigmas else {}
-        cameras[name] = replace(own, statistics={**sigmas, **model})
+        pixel, point = finite(refined.sigmas_2d_px[name]), finite(refined.sigmas_3d_m[name])
+        model = None if point is None else "isotropic, for each coordinate"
+        statistics = CameraStatistics(sigma_2d_px=pixel, sigma_3d_m=point, sigma_3d_model=model)
+        cameras[name] = replace(own, statistics=statistics)
     return replace(rig, cameras=cameras)
 
 

@@ -9,7 +9,7 @@ the two are one camera again.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -20,7 +20,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.dataset import CameraInfo, Mount
 from rgbd_calib.io.layout import KINDS, Files, Kind
 from rgbd_calib.io.recording import Recording
-from rgbd_calib.quality import AlignmentNumbers, ExpectedPair
+from rgbd_calib.quality import AlignmentNumbers, CameraStatistics, ExpectedPair, overlaid
 from rgbd_calib.trust.uncertainty import JointCovariance
 from rgbd_calib.types import Board, BoardView, DepthCamera, PlacedView, Rig, RigCamera
 from rgbd_calib.views.detect import corner_depth
@@ -72,7 +72,7 @@ def split_rig(rig: Rig, recording: Recording) -> Rig:
                 own.T_world_color @ depth.T_color_depth,
                 own.covariance,
                 own.depth_bias,
-                dict(own.statistics.get("depth_statistics", {})),
+                own.statistics.depth_statistics or CameraStatistics(),
                 own.depth_field,
             )
     return replace(rig, cameras=cameras)
@@ -91,7 +91,7 @@ def joined(rig: Rig, cameras: Mapping[str, CameraInfo], joint: JointCovariance |
                 depth_bias=depth.depth_bias,
                 depth_field=depth.depth_field,
                 depth_camera=sensor,
-                statistics=color.statistics | {"depth_statistics": depth.statistics},
+                statistics=replace(color.statistics, depth_statistics=depth.statistics),
             )
     return replace(rig, cameras=out)
 
@@ -118,8 +118,7 @@ def by_device(pairs: Mapping[str, PairNumbers]) -> dict[str, PairNumbers]:
         if name not in out:
             out[name] = numbers
         elif numbers.points:
-            stated = {f.name: own for f in fields(numbers) if (own := getattr(numbers, f.name)) is not None}
-            out[name] = replace(out[name], **stated)
+            out[name] = overlaid(out[name], numbers)
     return out
 
 

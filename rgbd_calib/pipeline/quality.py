@@ -37,15 +37,15 @@ def initial_quality(start: InitializationResult, refined: RefinementResult | Non
         initialization=steps,
         status=refined.status,
         message=refined.message,
-        sigma_2d_px=_finite(refined.sigma_2d_px),
-        sigma_3d_m=_finite(refined.sigma_3d_m),
-        w=_finite(refined.w),
-        redundancy_2d=_finite(refined.redundancy_2d),
-        redundancy_3d=_finite(refined.redundancy_3d),
-        cost=_finite(refined.cost),
+        sigma_2d_px=finite(refined.sigma_2d_px),
+        sigma_3d_m=finite(refined.sigma_3d_m),
+        w=finite(refined.w),
+        redundancy_2d=finite(refined.redundancy_2d),
+        redundancy_3d=finite(refined.redundancy_3d),
+        cost=finite(refined.cost),
         iterations=refined.iterations,
         rounds=tuple(
-            WeightRound(_finite(r.cost), _finite(r.w), _finite(r.sigma_2d_px), _finite(r.sigma_3d_m))
+            WeightRound(finite(r.cost), finite(r.w), finite(r.sigma_2d_px), finite(r.sigma_3d_m))
             for r in refined.history
         ),
         dropped_rows=refined.dropped,
@@ -113,5 +113,5 @@ def _by_camera(reasons: Mapping[tuple[str, str], str]) -> dict[str, dict[str, st
     return out
 
 
-def _finite(number: float) -> float | None:
+def finite(number: float) -> float | None:
     return number if np.isfinite(number) else None

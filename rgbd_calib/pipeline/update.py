@@ -17,7 +17,6 @@ from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.io.files import plain
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Detections, Progress, silent
@@ -26,7 +25,7 @@ from rgbd_calib.pipeline.prepare import IntrinsicsSource, resolve_depth, resolve
 from rgbd_calib.pipeline.rig_inputs import board_for, common_cameras
 from rgbd_calib.pipeline.verify import verify_views
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.quality import AlignmentNumbers, CameraUpdate
+from rgbd_calib.quality import AlignmentNumbers, CameraUpdate, overlaid
 from rgbd_calib.rig.bundle import bundle
 from rgbd_calib.rig.setup import CameraPrior
 from rgbd_calib.rig.solution import Solution
@@ -225,7 +224,7 @@ def _entry(
     )
     covariance = solved.pose_covariance(name) + carried
     T = solved.T_world_color(name)
-    statistics = plain(solved.camera_statistics(name))
+    statistics = solved.camera_statistics(name)
     if own is None:
         return RigCamera(
             solved.intrinsics(name),
@@ -236,8 +235,8 @@ def _entry(
             solved.depth_field(name),
             solved.depth_camera(name),
         )
-    kept = {key: value for key, value in statistics.items() if key != "intrinsics_sd"}
-    return replace(own, T_world_color=T, covariance=covariance, statistics=own.statistics | kept)
+    statistics = overlaid(own.statistics, replace(statistics, intrinsics_sd=None))  # its lens is kept
+    return replace(own, T_world_color=T, covariance=covariance, statistics=statistics)
 
 
 def _common(placed: Sequence[PlacedView], a: str, b: str) -> int:

@@ -12,6 +12,7 @@ from rgbd_calib.quality.alignment import (
     MeasuredAlignment,
     PoseNumbers,
 )
+from rgbd_calib.quality.camera import CameraStatistics
 from rgbd_calib.quality.changes import CameraUpdate, FloorFit
 from rgbd_calib.quality.course import (
     BiasSamples,
@@ -28,7 +29,7 @@ from rgbd_calib.quality.course import (
     StartingRig,
     WeightRound,
 )
-from rgbd_calib.quality.record import Record
+from rgbd_calib.quality.record import Record, overlaid
 from rgbd_calib.quality.self_check import BoardScale, Finding, HeldOutPart, Level, ScoreOutcome, SelfCheck
 from rgbd_calib.quality.truth import TrueChange, TrueWall
 from rgbd_calib.quality.whole import Quality
@@ -37,6 +38,7 @@ __all__ = [
     "AlignmentNumbers",
     "BiasSamples",
     "BoardScale",
+    "CameraStatistics",
     "CameraUpdate",
     "CarriedBoard",
     "CommonErrorSigmas",
@@ -66,4 +68,5 @@ __all__ = [
     "TrueChange",
     "TrueWall",
     "WeightRound",
+    "overlaid",
 ]

@@ -166,7 +166,7 @@ def beside(own: RigCamera, at_m: float) -> tuple[Beside, Figure | None, float] |
     rms = float(np.sqrt(np.nanmean(np.sum(shift(pixels_over(lens, FINE)[2]) ** 2, axis=-1))))
     registered = (lens.width, lens.height) == (depth.intrinsics.width, depth.intrinsics.height)
     # a depth camera that was calibrated as a camera of its own has statistics of its own
-    registered &= "depth_statistics" not in own.statistics and rms < _REGISTERED_SHARE * lens.width
+    registered &= own.statistics.depth_statistics is None and rms < _REGISTERED_SHARE * lens.width
     numbers = Beside(
         rms if registered else float("nan"),
         at_m,

@@ -201,7 +201,7 @@ def _motion(a: Rig, b: Rig, name: str, frame: str, untested: bool) -> Motion:
 
 def _changed(a: Rig, b: Rig, name: str, frame: str, independent: bool) -> Changed:
     one, two = a.cameras[name], b.cameras[name]
-    deviations = [own.statistics.get("intrinsics_sd") for own in (one, two)]
+    deviations = [own.statistics.intrinsics_sd for own in (one, two)]
     sd_px = None
     if independent and all(deviations):
         sd_px = np.hypot(*(np.asarray(d, float)[:4] for d in deviations))

@@ -160,7 +160,7 @@ def verdict_of(rig: Rig, residuals: Residuals | None) -> Verdict:
 
 def depth_noise_mm(rig: Rig) -> float | None:
     """RMS of what is left of a corner's depth, over the cameras that have it."""
-    left = [own.statistics["depth_rms_m"] for own in rig.cameras.values() if own.statistics.get("depth_rms_m")]
+    left = [rms for own in rig.cameras.values() if (rms := own.statistics.depth_rms_m)]
     return 1e3 * float(np.sqrt(np.mean(np.square(left)))) if left else None
 
 

@@ -107,7 +107,7 @@ def cameras(drawn: Drawn, rig: Rig, left: Residuals | None, start: Rig | None, a
         lens = own.intrinsics
         first = start.cameras[name].intrinsics if start is not None and name in start.cameras else None
         page: dict[str, Any] = {"name": name, "id": i, "depth": [], "beside": None, "changed": None, "lens": lens}
-        page["parameters"] = camera_pages.parameters(lens, own.statistics.get("intrinsics_sd"), first)
+        page["parameters"] = camera_pages.parameters(lens, own.statistics.intrinsics_sd, first)
         drawn[f"lens_{i}"], scale, top = camera_pages.shift_over_image(
             lens, lambda p, lens=lens: camera_pages.distortion_at(lens, p), "distortion"
         )

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.depth_error import CellPattern, PolynomialField
 from rgbd_calib.geometry.linear import Covariance, IntArray
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.quality import CameraStatistics
 from rgbd_calib.rig.blocks import BoardShapeBlock, DepthBiasBlock, depth_field, registration
 from rgbd_calib.rig.common_errors import CommonErrors
 from rgbd_calib.rig.observability import Observability
@@ -189,27 +189,28 @@ class Solution:
             return BoardShape(corners_m[0], corners_m[1], sd_m[0], sd_m[1])
         return BoardShape(corners_m[0], None, sd_m[0])
 
-    def camera_statistics(self, camera: str) -> dict[str, Any]:
-        """Plain numbers of one camera, for the rig file."""
+    def camera_statistics(self, camera: str) -> CameraStatistics:
+        """Of one camera, for the rig file."""
         i, obs, weights = self.cameras.index(camera), self.problem.obs, self.problem.weights
         mine = obs.camera == i
         pixels, depths = obs.has_pixel & mine[:, None], obs.has_depth & mine[:, None]
         n = len(self.prior_of(camera).intrinsics.vector)
         sd = np.sqrt(np.diag(self.covariance)[self.index("intrinsics", camera)])[:n]
-        out: dict[str, Any] = {
-            "intrinsics_sd": sd,
-            "sigma_2d_px": weights.sigma_2d_px[i],
-            "rms_px": float(np.sqrt(np.mean(self.residuals[0][pixels] ** 2))) if pixels.any() else None,
-            "views": int(pixels.any(axis=1).sum()),
-            "corners": int(pixels.sum()),
-            "corners_with_depth": int(depths.sum()),
-        }
+        out = CameraStatistics(
+            intrinsics_sd=tuple(sd.tolist()),
+            sigma_2d_px=float(weights.sigma_2d_px[i]),
+            rms_px=float(np.sqrt(np.mean(self.residuals[0][pixels] ** 2))) if pixels.any() else None,
+            views=int(pixels.any(axis=1).sum()),
+            corners=int(pixels.sum()),
+            corners_with_depth=int(depths.sum()),
+        )
         if depths.any():
             k = float(weights.k_depth[i])
-            out |= {
-                "sigma_3d_m": k * float(np.mean(obs.depth_m[depths] ** 2)),
-                "sigma_3d_model": "along the optical axis, k z^2, mean over a corner's cell; sigma_3d_m at the mean z^2",
-                "depth_k_per_m": k,
-                "depth_rms_m": self.depth_rms_m(camera),
-            }
+            out = replace(
+                out,
+                sigma_3d_m=k * float(np.mean(obs.depth_m[depths] ** 2)),
+                sigma_3d_model="along the optical axis, k z^2, mean over a corner's cell; sigma_3d_m at the mean z^2",
+                depth_k_per_m=k,
+                depth_rms_m=self.depth_rms_m(camera),
+            )
         return out

@@ -96,7 +96,5 @@ def _walls(folder: Path) -> None:
 
 def _truth(path: Path) -> None:
     lens = Intrinsics(WIDTH, HEIGHT, FOCAL_PX / 2, FOCAL_PX / 2, (WIDTH - 1) / 2, (HEIGHT - 1) / 2, (0.0,) * 5)
-    cameras = {
-        f"C{i + 1}": RigCamera(lens, camera_pose(i, CAMERAS), np.zeros((6, 6)), None, {}) for i in range(CAMERAS)
-    }
+    cameras = {f"C{i + 1}": RigCamera(lens, camera_pose(i, CAMERAS), np.zeros((6, 6))) for i in range(CAMERAS)}
     write_rig(path, Rig("C1", cameras))

@@ -20,7 +20,7 @@ from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_boards, read_rig, write_intrinsics, write_rig
 from rgbd_calib.pipeline.detection import detect
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.quality import Quality
+from rgbd_calib.quality import CameraStatistics, Quality
 from rgbd_calib.types import Rig, RigCamera
 from rgbd_calib.views.detect import DetectParams
 
@@ -35,7 +35,9 @@ def drawn(tmp_path_factory):
     recording = open_recording(draw_recording(folder / "recording", cameras=3, frames=7))
     write_corners(folder / "corners.csv", detect(recording, DetectParams(), Workers(2)).views)
     cameras = {
-        f"C{i + 1}": RigCamera(LENS, camera_pose(i, 3), SD if i else np.zeros((6, 6)), None, {"sigma_2d_px": 0.1})
+        f"C{i + 1}": RigCamera(
+            LENS, camera_pose(i, 3), SD if i else np.zeros((6, 6)), None, CameraStatistics(sigma_2d_px=0.1)
+        )
         for i in range(3)
     }
     write_rig(

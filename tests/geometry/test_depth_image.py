@@ -14,6 +14,7 @@ from rgbd_calib.geometry.depth_error import PolynomialField
 from rgbd_calib.geometry.depth_image import DepthImage, seen_by
 from rgbd_calib.geometry.depth_sensor import DepthCamera, DepthSensor
 from rgbd_calib.pipeline.correct import correct_depth
+from rgbd_calib.quality import CameraStatistics
 from rgbd_calib.types import RigCamera
 
 SMALL = Intrinsics(160, 120, 140.0, 141.0, 80.5, 59.0, (0.05, -0.1, 0.001, -0.001, 0.0))
@@ -65,7 +66,7 @@ def test_corrected_depth_has_neither_field_nor_shift():
     wrong = replace(COLOR, cx=COLOR.cx + 1.5, cy=COLOR.cy - 0.7)
     own = field((640, 480))
     assert isinstance(own, PolynomialField)
-    camera = RigCamera(COLOR, np.eye(4), np.zeros((6, 6)), BIAS, {}, own, DepthCamera(wrong))
+    camera = RigCamera(COLOR, np.eye(4), np.zeros((6, 6)), BIAS, CameraStatistics(), own, DepthCamera(wrong))
     u, v = np.meshgrid(np.arange(640.0), np.arange(480.0))
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
     wall = COLOR.rays(pixels) * 1.8

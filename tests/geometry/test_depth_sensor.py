@@ -11,6 +11,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.depth_error import CellPattern, DepthBias, GridField, PolynomialField, n_terms, terms
 from rgbd_calib.geometry.depth_sensor import DepthCamera, DepthSensor
 from rgbd_calib.io.rig import read_rig, write_rig
+from rgbd_calib.quality import CameraStatistics
 from rgbd_calib.types import Rig, RigCamera
 
 COLOR = Intrinsics(640, 480, 550.0, 551.0, 322.0, 238.0, (0.05, -0.1, 0.001, -0.001, 0.0))
@@ -68,7 +69,9 @@ def test_depth_of_the_colour_camera_s_geometry_is_the_default():
 
 @pytest.mark.parametrize("own", [field(), grid_field()], ids=["polynomial", "grid"])
 def test_a_rig_file_keeps_the_depth_sensor(tmp_path, own):
-    camera = RigCamera(COLOR, np.eye(4), np.zeros((6, 6)), BIAS, {}, own, DepthCamera(DEPTH, T_COLOR_DEPTH, np.eye(10)))
+    camera = RigCamera(
+        COLOR, np.eye(4), np.zeros((6, 6)), BIAS, CameraStatistics(), own, DepthCamera(DEPTH, T_COLOR_DEPTH, np.eye(10))
+    )
     write_rig(tmp_path / "rig.yaml", Rig("C1", {"C1": camera}))
     again = read_rig(tmp_path / "rig.yaml").cameras["C1"]
     rng = np.random.default_rng(3)
@@ -82,6 +85,9 @@ def test_a_rig_file_keeps_the_depth_sensor(tmp_path, own):
 
 def test_a_field_of_the_wrong_length_is_refused(tmp_path):
     wrong = replace(field(), coefficients=np.zeros(3))
-    write_rig(tmp_path / "rig.yaml", Rig("C1", {"C1": RigCamera(COLOR, np.eye(4), np.zeros((6, 6)), None, {}, wrong)}))
+    write_rig(
+        tmp_path / "rig.yaml",
+        Rig("C1", {"C1": RigCamera(COLOR, np.eye(4), np.zeros((6, 6)), None, CameraStatistics(), wrong)}),
+    )
     with pytest.raises(ConfigError, match=r"depth_field.*3 coefficients, 14 needed"):
         read_rig(tmp_path / "rig.yaml")

@@ -19,7 +19,7 @@ from rgbd_calib.io import exports
 from rgbd_calib.io.calibrations import read_calibration
 from rgbd_calib.io.exports.common import Options
 from rgbd_calib.io.rig import read_rig, write_rig
-from rgbd_calib.quality import Quality
+from rgbd_calib.quality import CameraStatistics, Quality
 from rgbd_calib.types import DepthBias, Rig, RigCamera
 
 AGREE_PX = 1e-6
@@ -35,7 +35,7 @@ def a_rig(k3=True, distorted=True, identity=False, n=4):
         T = se3.make(so3.exp(rng.normal(0, 0.7, 3)), rng.normal(0, 1, 3))
         T = np.eye(4) if identity and i == 1 else T
         bias = DepthBias((0.01, -0.02), 0.5, 4.0, 0.002) if i == 0 else None
-        cameras[f"C{i}"] = RigCamera(lens, T, np.diag([1e-6] * 6), bias, {"sigma_2d_px": 0.2})
+        cameras[f"C{i}"] = RigCamera(lens, T, np.diag([1e-6] * 6), bias, CameraStatistics(sigma_2d_px=0.2))
     return Rig("C1" if n > 1 else "C0", cameras, Quality(other={"rms_px": 0.3}), {"seed": 1})
 
 

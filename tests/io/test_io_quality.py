@@ -9,8 +9,8 @@ import pytest
 from qualities import expected, grid_of, measured
 from synthetic_views import TWO_SIDED
 
-from rgbd_calib.io.files import dump_yaml
-from rgbd_calib.io.quality import quality_data, quality_of
+from rgbd_calib.io.files import dump_yaml, plain
+from rgbd_calib.io.quality import quality_data, quality_of, statistics_of
 from rgbd_calib.io.safe_yaml import load
 from rgbd_calib.quality import (
     BoardScale,
@@ -147,3 +147,10 @@ def test_the_shape_of_a_simulated_board_stands_under_its_board():
     got = there_and_back(Quality(board_shape=BoardShape(TWO_SIDED.corners_m())))
     assert got.board is None
     np.testing.assert_array_equal(got.board_shape.front_m, TWO_SIDED.corners_m())
+
+
+def test_statistics_of_a_camera_keep_what_is_not_as_expected():
+    theirs = {"views": "many", "rms_px": 0.1, "lens_vendor": "ACME", "depth_statistics": {"views": 3, "model": "x"}}
+    got = statistics_of(theirs)
+    assert got.views is None and got.rms_px == 0.1 and got.depth_statistics.views == 3
+    assert plain(got) == theirs

@@ -21,7 +21,7 @@ from rgbd_calib.io.rig import (
     write_intrinsics,
     write_rig,
 )
-from rgbd_calib.quality import Quality
+from rgbd_calib.quality import CameraStatistics, Quality
 from rgbd_calib.types import DepthBias, Rig, RigCamera
 
 LENS = Intrinsics(640, 480, 571.2, 569.8, 318.4, 243.2, (0.06, -0.11, 0.0008, -0.0013, 0.045))
@@ -32,7 +32,7 @@ def a_rig(seed=0):
     rng = np.random.default_rng(seed)
     L = rng.normal(size=(6, 6))
     cameras = {
-        "C1": RigCamera(LENS, np.eye(4), np.zeros((6, 6)), BIAS, {"sigma_2d_px": 0.21, "views": 12}),
+        "C1": RigCamera(LENS, np.eye(4), np.zeros((6, 6)), BIAS, CameraStatistics(sigma_2d_px=0.21, views=12)),
         "left top": RigCamera(
             LENS.with_vector(LENS.vector * rng.uniform(0.9, 1.1, 9)),
             se3.make(so3.exp(rng.normal(size=3)), rng.normal(size=3)),
@@ -160,7 +160,7 @@ def test_a_misspelt_key_is_an_error_with_the_right_one(tmp_path, data, path, key
 def test_keys_of_other_programs_pass_and_are_kept(tmp_path, data):
     data["cameras"]["C1"]["lens_vendor"] = "ACME"
     (tmp_path / "a.yaml").write_text(yaml.safe_dump(data, sort_keys=False))
-    assert read_rig(tmp_path / "a.yaml").cameras["C1"].statistics["lens_vendor"] == "ACME"
+    assert read_rig(tmp_path / "a.yaml").cameras["C1"].statistics.other["lens_vendor"] == "ACME"
 
 
 def test_a_rig_of_one_camera(tmp_path):

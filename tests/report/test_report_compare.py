@@ -14,7 +14,7 @@ from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.rig import write_rig
-from rgbd_calib.quality import Counted, Quality
+from rgbd_calib.quality import CameraStatistics, Counted, Quality
 from rgbd_calib.report.compare import Comparison, compare
 from rgbd_calib.trust.verdict import Verdict
 from rgbd_calib.types import DepthBias, Rig, RigCamera
@@ -32,8 +32,8 @@ def rig(T_C2_pose: np.ndarray = T_C2, mean_mm: float = 1.0, **options) -> Rig:
     stated = expected(mean_mm, grid=grid_of(points, [1.0] * len(points)))
     bias = DepthBias((0.0, 0.0), 0.5, 4.0, 0.001)
     cameras = {
-        "C1": RigCamera(LENS, np.eye(4), np.zeros((6, 6)), bias, {"intrinsics_sd": [0.3] * 9}),
-        "C2": RigCamera(LENS, T_C2_pose, COVARIANCE, bias, {"intrinsics_sd": [0.4] * 9}),
+        "C1": RigCamera(LENS, np.eye(4), np.zeros((6, 6)), bias, CameraStatistics((0.3,) * 9)),
+        "C2": RigCamera(LENS, T_C2_pose, COVARIANCE, bias, CameraStatistics((0.4,) * 9)),
     }
     return replace(Rig("C1", cameras, Quality(expected_alignment=stated), {}), **options)
 

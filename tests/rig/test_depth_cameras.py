@@ -19,6 +19,7 @@ from rgbd_calib.io.layout import KINDS
 from rgbd_calib.io.recording import Recording, open_recording
 from rgbd_calib.io.rig import read_rig
 from rgbd_calib.pipeline.depth_cameras import by_device, joined, name_of, split, split_rig
+from rgbd_calib.quality import AlignmentNumbers, CameraStatistics
 from rgbd_calib.rig.bundle import bundle, problem_of
 from rgbd_calib.rig.setup import BundleParams, CameraPrior, MountPrior
 from rgbd_calib.simulation.views import true_views
@@ -144,7 +145,9 @@ def test_split_makes_two_cameras_and_joined_makes_one_again(tmp_path: Path) -> N
         "C1",
         {
             "C1": RigCamera(sv.lens_of(0), pose, np.zeros((6, 6))),
-            "C1/depth": RigCamera(DEPTH_LENS, pose @ true_mount(0), np.zeros((6, 6)), bias, {"depth_rms_m": 0.002}),
+            "C1/depth": RigCamera(
+                DEPTH_LENS, pose @ true_mount(0), np.zeros((6, 6)), bias, CameraStatistics(depth_rms_m=0.002)
+            ),
             "C2": RigCamera(sv.lens_of(1), np.eye(4), np.zeros((6, 6))),
         },
     )
@@ -155,19 +158,19 @@ def test_split_makes_two_cameras_and_joined_makes_one_again(tmp_path: Path) -> N
     np.testing.assert_allclose(depth.T_color_depth, true_mount(0), atol=1e-12)
     again = split_rig(whole, two).cameras["C1/depth"]
     np.testing.assert_allclose(again.T_world_color, pose @ true_mount(0), atol=1e-12)
-    assert (again.depth_bias, again.statistics) == (bias, {"depth_rms_m": 0.002})
+    assert (again.depth_bias, again.statistics) == (bias, CameraStatistics(depth_rms_m=0.002))
 
 
 def test_pairs_are_told_by_device() -> None:
     pairs = {
-        "C1 - C1/depth": {"points": 0, "median_px": 0.1},
-        "C1 - C2": {"points": 0, "median_px": 0.2},
-        "C1/depth - C2/depth": {"points": 5, "mean_mm": 1.0},
-        "C1 - C2/depth": {"points": 0},
+        "C1 - C1/depth": AlignmentNumbers(0, median_px=0.1),
+        "C1 - C2": AlignmentNumbers(0, median_px=0.2),
+        "C1/depth - C2/depth": AlignmentNumbers(5, mean_mm=1.0),
+        "C1 - C2/depth": AlignmentNumbers(0),
     }
     assert by_device(pairs) == {
-        "C1 - C1/depth": {"points": 0, "median_px": 0.1},
-        "C1 - C2": {"points": 5, "median_px": 0.2, "mean_mm": 1.0},
+        "C1 - C1/depth": AlignmentNumbers(0, median_px=0.1),
+        "C1 - C2": AlignmentNumbers(5, median_px=0.2, mean_mm=1.0),
     }
 
 

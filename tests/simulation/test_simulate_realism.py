@@ -209,9 +209,9 @@ def test_walls_are_planes_where_the_truth_says_and_distances_are_taped(small):
             normal = wall.normal
             assert np.arccos(normal[2]) <= np.radians(2.0)
             z_m = recording.depth_m(name, frame)[v, u].ravel()
-            off = own.depth_sensor.points(pixels, z_m) @ normal - normal[2] * wall["distance_m"]
+            off = own.depth_sensor.points(pixels, z_m) @ normal - normal[2] * wall.distance_m
             assert np.nanstd(off) < 0.0005 and abs(np.nanmean(off)) < 0.0002
-            assert 0 < abs(written[frame][0] - wall["distance_m"]) < 5 * np.hypot(0.002, 0.0015)
+            assert 0 < abs(written[frame][0] - wall.distance_m) < 5 * np.hypot(0.002, 0.0015)
     text = (small / "depth_bias" / "C1" / "distances.csv").read_text().splitlines()
     assert text[0] == "frame,distance_m,sd_m" and text[1].endswith(",0.002")
 

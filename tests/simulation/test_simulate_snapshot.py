@@ -60,7 +60,7 @@ def lens_points(sensor, depth_m):
 
 def test_the_rig_is_that_of_the_same_seed_and_what_stayed_is_said(bumped):
     truth = read_rig(bumped / "truth.yaml")
-    assert truth.quality.snapshot.moved == ["C2"]
+    assert truth.quality.snapshot.moved == ("C2",)
     assert 0 <= truth.quality.snapshot.changed_share["C1"] < 0.5
     same = true_rig_of(SimulationParams(cameras=2, width=160, height=120, bias=False)).intrinsics["C1"]
     assert np.allclose(truth.cameras["C1"].intrinsics.vector, same.vector)
