@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from math import degrees
 from pathlib import Path
 from typing import Any
@@ -43,7 +43,7 @@ class Round:
 
     number: int
     time: str
-    """UTC, ISO 8601."""
+    """timezone.utc, ISO 8601."""
     verdict: RigVerdict | None
     """None where there was none."""
     problem: str
@@ -112,7 +112,7 @@ def watch(
         begin = time.monotonic()
         verdict, problem = _round(rig, before, source, params)
         in_a_row = in_a_row if verdict is None else in_a_row + 1 if verdict.moved else 0
-        now = datetime.now(UTC).isoformat(timespec="seconds")
+        now = datetime.now(timezone.utc).isoformat(timespec="seconds")
         seconds = time.monotonic() - begin
         yield Round(number, now, verdict, problem, in_a_row >= params.confirm, seconds)
         last = params.rounds is not None and number >= params.rounds
