@@ -37,7 +37,7 @@ def measure(folder: Path, cameras: int, seconds: float) -> None:
     from rgbd_calib.sensors.discover import find_cameras
     from rgbd_calib.sensors.driver import Drivers
     from rgbd_calib.sensors.openni2 import load_runtime
-    from rgbd_calib.sensors.rig import Rig
+    from rgbd_calib.sensors.rig import SensorRig
 
     feed(open_recording(draw_recording(folder / "drawn", cameras, 6)), folder / "raw")
     settings = {"DEVICES": cameras, "DATA": folder / "raw", "STAMP": 1, "COLOR_LAG_US": 8000, "JITTER_US": 3000}
@@ -45,7 +45,7 @@ def measure(folder: Path, cameras: int, seconds: float) -> None:
     os.environ.update({f"VXTION_{key}": str(value) for key, value in settings.items()})
     runtime = Drivers([load_runtime(build_redist(folder / "redist"))])
     found = find_cameras(runtime)
-    with Rig(runtime, found.assign({}), lambda camera, text: print(camera, text), settle_s=2.0) as rig:
+    with SensorRig(runtime, found.assign({}), lambda camera, text: print(camera, text), settle_s=2.0) as rig:
         checks = [_PairCheck(rig, camera) for camera in rig.cameras]
         before, cpu_s, start_s = rig.counts(), time.process_time(), time.monotonic()
         sets, spreads_ms = 0, []

@@ -28,7 +28,7 @@ from rgbd_calib.rig.biobjective import RefinementParams, groups, refine
 from rgbd_calib.rig.biobjective import problem as problems
 from rgbd_calib.rig.biobjective.loss import Loss
 from rgbd_calib.rig.biobjective.moments import MomentTerm
-from rgbd_calib.rig.biobjective.solver import Minimum, State, minimise
+from rgbd_calib.rig.biobjective.solver import RefinementMinimum, RefinementState, minimise
 from rgbd_calib.rig.biobjective.terms import PixelTerm
 from rgbd_calib.types import Correspondences
 
@@ -107,7 +107,7 @@ def start_of(case: Case) -> Start:
     return Start(problem.start.T, points_m)
 
 
-def solve(case: Case, start: Start, tolerance: float = TOLERANCE) -> Minimum:
+def solve(case: Case, start: Start, tolerance: float = TOLERANCE) -> RefinementMinimum:
     """Ours, from arrays and a start to the minimum."""
     data, intrinsics, _ = case
     n = len(data.cameras)
@@ -120,7 +120,7 @@ def solve(case: Case, start: Start, tolerance: float = TOLERANCE) -> Minimum:
     for term, sigma in zip(terms, (SIGMA_2D_PX, SIGMA_3D_M), strict=True):
         term.set_sigmas(np.full(n, sigma))
     X = np.ascontiguousarray(start.points_m[pixels.labels].T)
-    return minimise(terms, State(start.T, (X, np.empty((3, 0)))), False, tolerance, 100)
+    return minimise(terms, RefinementState(start.T, (X, np.empty((3, 0)))), False, tolerance, 100)
 
 
 def write(path: Path, case: Case, start: Start) -> None:

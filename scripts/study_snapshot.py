@@ -28,7 +28,7 @@ from rgbd_calib.simulation.params import SimulationParams, generator
 from rgbd_calib.simulation.recording import true_rig_of
 from rgbd_calib.simulation.rig import TrueRig
 from rgbd_calib.simulation.scene import Caster
-from rgbd_calib.simulation.snapshot import Sight, changed_share, look, take
+from rgbd_calib.simulation.snapshot import IdealSnapshot, changed_share, look, take
 from rgbd_calib.trust.displacement import VerdictParams
 from rgbd_calib.trust.snapshot import Before, RigVerdict, SnapshotParams, camera_motion, judge_motions
 from rgbd_calib.trust.snapshot.determined import working_points
@@ -104,17 +104,17 @@ class SceneStudy:
         self.before = {c: Before(self.rig.cameras[c], self.take(c, self.sights[c])) for c in self.truth.cameras}
         self.seconds: list[float] = []
 
-    def look(self, camera: str, caster: Caster, T_old_new: np.ndarray | None = None) -> Sight:
+    def look(self, camera: str, caster: Caster, T_old_new: np.ndarray | None = None) -> IdealSnapshot:
         T = self.truth.T_room_color[camera]
         return look(self.truth, self.params, camera, T if T_old_new is None else T @ T_old_new, caster, self.rng)
 
-    def take(self, camera: str, sight: Sight, change: SceneChange | None = None) -> CameraSnapshot:
+    def take(self, camera: str, sight: IdealSnapshot, change: SceneChange | None = None) -> CameraSnapshot:
         taken = take(sight, self.truth, self.params, camera, self.setup.frames, self.rng, change)
         stack = np.where(taken.depth_raw > 0, taken.depth_raw / 1000, np.nan).astype(np.float32)
         return CameraSnapshot(camera, taken.color, averaged(stack), self.setup.frames)
 
     def compare(
-        self, what: str, change: SceneChange, sights: dict[str, Sight], before: dict[str, Before] | None = None
+        self, what: str, change: SceneChange, sights: dict[str, IdealSnapshot], before: dict[str, Before] | None = None
     ) -> dict[str, Any]:
         """One round of `verify --snapshot`, against the truth."""
         begin = process_time()

@@ -26,7 +26,7 @@ from rgbd_calib.pipeline.config import load_config
 from rgbd_calib.pipeline.detection import Detections
 from rgbd_calib.simulation.clocks import WaveParams
 from rgbd_calib.simulation.realism import Realism
-from rgbd_calib.simulation.session import Scene, draw_scene
+from rgbd_calib.simulation.session import TrueScene, draw_scene
 from rgbd_calib.simulation.wave import WaveSession, film_wave, write_wave
 from rgbd_calib.trust import uncertainty
 from rgbd_calib.trust.verdict import judge
@@ -40,7 +40,7 @@ PARTS = {
     "lens": ("intrinsics",),
     "depth": ("depth_bias", "depth_field", "depth_camera"),
 }
-Film = Callable[[Scene, Board | None], WaveSession]
+Film = Callable[[TrueScene, Board | None], WaveSession]
 
 
 def late(session: WaveSession, view: BoardView) -> bool:
@@ -55,27 +55,27 @@ def joined(before: WaveSession, after: WaveSession) -> WaveSession:
     return replace(before, views=tuple(views))
 
 
-def with_camera(scene: Scene, **changes: object) -> Scene:
+def with_camera(scene: TrueScene, **changes: object) -> TrueScene:
     cameras = {**scene.rig.cameras, SPOILED: replace(scene.rig.cameras[SPOILED], **changes)}  # type: ignore[arg-type]
     return replace(scene, rig=replace(scene.rig, cameras=cameras))
 
 
-def moved(scene: Scene, film: Film) -> WaveSession:
+def moved(scene: TrueScene, film: Film) -> WaveSession:
     T = se3.retract(scene.rig.cameras[SPOILED].T_world_color, MOTION)
     return joined(film(scene, None), film(with_camera(scene, T_world_color=T), None))
 
 
-def refocused(scene: Scene, film: Film) -> WaveSession:
+def refocused(scene: TrueScene, film: Film) -> WaveSession:
     K = scene.rig.cameras[SPOILED].intrinsics
     other = replace(K, fx=1.008 * K.fx, fy=1.008 * K.fy)
     return joined(film(scene, None), film(with_camera(scene, intrinsics=other), None))
 
 
-def wrong_square(scene: Scene, film: Film) -> WaveSession:
+def wrong_square(scene: TrueScene, film: Film) -> WaveSession:
     return film(scene, replace(scene.board, square_m=1.05 * scene.board.square_m, shape=None))
 
 
-def clock_jumps(scene: Scene, film: Film) -> WaveSession:
+def clock_jumps(scene: TrueScene, film: Film) -> WaveSession:
     session = film(scene, None)
     stamps = dict(session.stamps_us[SPOILED])
     for frame in list(stamps)[len(stamps) // 2 :]:
@@ -87,12 +87,12 @@ def each_view(session: WaveSession, change: Callable[[BoardView], BoardView]) ->
     return replace(session, views=tuple(change(v) for v in session.views))
 
 
-def depth_drifts(scene: Scene, film: Film) -> WaveSession:
+def depth_drifts(scene: TrueScene, film: Film) -> WaveSession:
     session = film(scene, None)
     return each_view(session, lambda v: replace(v, depth_m=v.depth_m + 0.012) if late(session, v) else v)
 
 
-def depth_scaled(scene: Scene, film: Film) -> WaveSession:
+def depth_scaled(scene: TrueScene, film: Film) -> WaveSession:
     session = film(scene, None)
 
     def change(v: BoardView) -> BoardView:
@@ -101,7 +101,7 @@ def depth_scaled(scene: Scene, film: Film) -> WaveSession:
     return each_view(session, change)
 
 
-def bent_board(scene: Scene, film: Film) -> WaveSession:
+def bent_board(scene: TrueScene, film: Film) -> WaveSession:
     """An S, 4 mm high, that no bow follows; both sides of a plate."""
     board = scene.board
     shape = board.shape or BoardShape(board.corners_m(), None)
@@ -116,7 +116,7 @@ def bent_board(scene: Scene, film: Film) -> WaveSession:
     return film(replace(scene, board=made), None)
 
 
-def odd_lens(scene: Scene, film: Film) -> WaveSession:
+def odd_lens(scene: TrueScene, film: Film) -> WaveSession:
     """A window before the camera: half a pixel of a pattern that no lens has."""
     K = scene.rig.cameras[SPOILED].intrinsics
 
@@ -131,7 +131,7 @@ def odd_lens(scene: Scene, film: Film) -> WaveSession:
     return each_view(film(scene, None), change)
 
 
-def host_stamps(scene: Scene, film: Film) -> WaveSession:
+def host_stamps(scene: TrueScene, film: Film) -> WaveSession:
     """Stamps of the host: 6 ms of jitter."""
     session, rng = film(scene, None), np.random.default_rng(1)
     noisy = {f: (s + e, d + e) for (f, (s, d)), e in zip(
@@ -139,7 +139,7 @@ def host_stamps(scene: Scene, film: Film) -> WaveSession:
     return replace(session, stamps_us={**session.stamps_us, SPOILED: noisy})
 
 
-KINDS: Mapping[str, Callable[[Scene, Film], WaveSession]] = {
+KINDS: Mapping[str, Callable[[TrueScene, Film], WaveSession]] = {
     "none": lambda scene, film: film(scene, None),
     "camera moved half-way": moved,
     "lens refocused half-way": refocused,
@@ -189,7 +189,7 @@ def study(kind: str, seed: int, cameras: int, args: argparse.Namespace) -> str:
     scene = draw_scene(cameras, "arc", 30, 0, rng, realism=Realism().without(*args.without))
     params = WaveParams(seconds=args.seconds, rate_hz=args.rate, offset_s=45.0, lost=0.1)
 
-    def film(own: Scene, stated: Board | None) -> WaveSession:
+    def film(own: TrueScene, stated: Board | None) -> WaveSession:
         return film_wave(own, params, np.random.default_rng(seed + 1000), stated=stated)
 
     session, begin = KINDS[kind](scene, film), time.process_time()

@@ -22,7 +22,7 @@ _THREADS = 2
 
 
 @dataclass(frozen=True)
-class Look:
+class DetectedFrameSet:
     """A frame set and where the board is in it."""
 
     frame_set: FrameSet
@@ -44,8 +44,8 @@ class BoardFinder:
         found = {camera: job.result() for camera, job in jobs.items()}
         return {camera: corners for camera, corners in found.items() if corners is not None}
 
-    def look(self, frame_set: FrameSet) -> Look:
-        return Look(frame_set, self.find({c: f.color.pixels for c, f in frame_set.frames.items()}))
+    def look(self, frame_set: FrameSet) -> DetectedFrameSet:
+        return DetectedFrameSet(frame_set, self.find({c: f.color.pixels for c, f in frame_set.frames.items()}))
 
     def __enter__(self) -> BoardFinder:
         return self

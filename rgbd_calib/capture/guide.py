@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rgbd_calib.capture.board_watch import Look, board_views
+from rgbd_calib.capture.board_watch import DetectedFrameSet, board_views
 from rgbd_calib.capture.stillness import Corners
 from rgbd_calib.types import Board
-from rgbd_calib.views.coverage import Coverage, CoverageParams, PlacedView, place_view, summarize_coverage
+from rgbd_calib.views.coverage import Coverage, CoverageParams, ViewCoverage, place_view, summarize_coverage
 
 
 @dataclass(frozen=True)
@@ -47,13 +47,13 @@ class Guide:
         self._judged = tuple(cameras)
         self._board = board
         self._params = params or CoverageParams()
-        self._placed: list[PlacedView] = []
+        self._placed: list[ViewCoverage] = []
         self._coverage = summarize_coverage([], self._judged, self._params) if board else None
         self._advice = ""
         self._frame_sets = 0
         self._events: list[str] = []
         self._live: tuple[str, ...] = self._all
-        self._look: Look | None = None
+        self._look: DetectedFrameSet | None = None
         self._listeners: list[Callable[[GuideState], None]] = []
 
     def listen(self, listener: Callable[[GuideState], None]) -> None:
@@ -80,7 +80,7 @@ class Guide:
             self._events = [*self._events, text][-5:]
         self._tell()
 
-    def looked(self, look: Look, live: Sequence[str]) -> None:
+    def looked(self, look: DetectedFrameSet, live: Sequence[str]) -> None:
         """A look at the board that is not recorded (yet)."""
         with self._lock:
             self._look, self._live = look, tuple(live)

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-from rgbd_calib.capture.board_watch import Look
+from rgbd_calib.capture.board_watch import DetectedFrameSet
 from rgbd_calib.capture.stillness import StillBoard, StillParams
 from rgbd_calib.capture.studio import Studio
 from rgbd_calib.views.coverage import CoverageParams
@@ -101,7 +101,7 @@ def _look_until(studio: Studio, until_s: float, only: str | None) -> None:
 
 def _record_when_still(studio: Studio, params: ModeParams, only: str | None) -> None:
     still, taken = StillBoard(params.still), 0
-    before: Look | None = None
+    before: DetectedFrameSet | None = None
     while not _finished(studio, params, taken):
         look = studio.look(only)
         due = still.look(look.frame_set.time_s, look.corners)
@@ -113,7 +113,9 @@ def _record_when_still(studio: Studio, params: ModeParams, only: str | None) -> 
         studio.pause(LOOK_PERIOD_S)
 
 
-def _take_still_shot(studio: Studio, still: StillBoard, before: Look, now: Look, only: str | None) -> bool:
+def _take_still_shot(
+    studio: Studio, still: StillBoard, before: DetectedFrameSet, now: DetectedFrameSet, only: str | None
+) -> bool:
     """Record the look before this one, which was still on both sides; or take depth now and look again after it."""
     if studio.photographer.instantaneous:
         studio.record(before.frame_set, before.corners)
@@ -129,7 +131,7 @@ def _take_still_shot(studio: Studio, still: StillBoard, before: Look, now: Look,
     return True
 
 
-def _still_advice(still: StillBoard, look: Look, only: str | None) -> str:
+def _still_advice(still: StillBoard, look: DetectedFrameSet, only: str | None) -> str:
     if not look.corners:
         return f"hold the board where {only or 'a camera'} sees it"
     if still.waits_for_new_pose:

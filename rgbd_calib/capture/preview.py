@@ -13,7 +13,7 @@ from rgbd_calib.capture.guide import Guide, GuideState
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.plain import to_json
 from rgbd_calib.io.serving import LOOPBACK, LocalServer
-from rgbd_calib.sensors.rig import Rig
+from rgbd_calib.sensors.rig import SensorRig
 from rgbd_calib.views.coverage import CameraCoverage
 
 DEFAULT_PORT = 8765
@@ -34,7 +34,7 @@ def parse_address(text: str) -> tuple[str, int]:
     return host.strip("[]") or LOOPBACK, int(port)
 
 
-def preview_server(guide: Guide, rig: Rig, host: str = LOOPBACK, port: int = DEFAULT_PORT) -> LocalServer:
+def preview_server(guide: Guide, rig: SensorRig, host: str = LOOPBACK, port: int = DEFAULT_PORT) -> LocalServer:
     """The page, to be used as a context manager.
 
     Raises
@@ -78,7 +78,7 @@ def _coverage_json(coverage: CameraCoverage) -> dict[str, Any]:
     }
 
 
-def _app(guide: Guide, rig: Rig) -> Flask:
+def _app(guide: Guide, rig: SensorRig) -> Flask:
     app = Flask("rgbd-calib")
     page = resources.files("rgbd_calib.capture").joinpath("preview.html").read_text(encoding="utf-8")
 

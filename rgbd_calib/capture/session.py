@@ -31,7 +31,7 @@ from rgbd_calib.io.growing_recording import GrowingRecording
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.sensors.discover import find_cameras
 from rgbd_calib.sensors.driver import Drivers, load_drivers
-from rgbd_calib.sensors.rig import Rig
+from rgbd_calib.sensors.rig import SensorRig
 from rgbd_calib.sensors.writer import FrameSetWriter
 from rgbd_calib.types import Board
 from rgbd_calib.views.coverage import CoverageParams
@@ -137,7 +137,7 @@ class _Session:
 
     def run(self, console: Console, ask: Ask) -> CaptureResult:
         params = self._params
-        rig = Rig(
+        rig = SensorRig(
             self._runtime,
             self._cameras,
             self._note,
@@ -172,7 +172,7 @@ class _Session:
         missing = coverage.missing if coverage else ()
         return CaptureResult(status, self._recording.finished, self._tally, lost, self._events, missing)
 
-    def _record(self, rig: Rig, ask: Ask) -> None:
+    def _record(self, rig: SensorRig, ask: Ask) -> None:
         params = self._params
         self._log.set(cameras={c: asdict(device) | exposure for c, (device, exposure) in rig.settings().items()})
         self._recording.describe(rig.describe())
@@ -226,7 +226,7 @@ class _Session:
             pictures = {c: np.ascontiguousarray(recording.color(c, frame)[..., ::-1]) for c in cameras}
             self._guide.known(frame, finder.find(pictures), {c: p.shape[1::-1] for c, p in pictures.items()})
 
-    def _counts(self, rig: Rig) -> dict[str, Any]:
+    def _counts(self, rig: SensorRig) -> dict[str, Any]:
         spreads_ms = self._tally.spreads_ms or [math.nan]
         return {
             "frame_sets": self._recording.finished,

@@ -11,7 +11,7 @@ import numpy as np
 from rgbd_calib.io.growing_recording import CameraImages
 from rgbd_calib.sensors.depth_average import mean_depth, median_depth
 from rgbd_calib.sensors.frames import PERIOD_S, FrameSet, SensorFrame
-from rgbd_calib.sensors.rig import Rig
+from rgbd_calib.sensors.rig import SensorRig
 
 FRAME_SET_TIMEOUT_S = 3.0
 """Longer than a reader needs to be called stalled: then the set goes on without that camera."""
@@ -35,7 +35,7 @@ class DepthParams:
 class Photographer:
     """Takes shots of a rig; `clock_zero_s` is the recording's zero on the host's monotonic clock."""
 
-    def __init__(self, rig: Rig, params: DepthParams, clock_zero_s: float) -> None:
+    def __init__(self, rig: SensorRig, params: DepthParams, clock_zero_s: float) -> None:
         self._rig = rig
         self._params = params
         self._clock_zero_s = clock_zero_s

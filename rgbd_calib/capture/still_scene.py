@@ -12,7 +12,7 @@ from rgbd_calib.capture.shots import DepthParams, Photographer
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.sensors.discover import find_cameras
 from rgbd_calib.sensors.driver import load_drivers
-from rgbd_calib.sensors.rig import Rig
+from rgbd_calib.sensors.rig import SensorRig
 from rgbd_calib.types import CameraSnapshot
 
 
@@ -39,7 +39,7 @@ def take_snapshots(
     runtime = load_drivers(drivers, redist)
     try:
         cameras = find_cameras(runtime).assign(devices, known)
-        with Rig(
+        with SensorRig(
             runtime, cameras, lambda *_: None, settle_s=settle_s, keep_depth=frames + 4, allow_unregistered=True
         ) as rig:
             photographer = Photographer(rig, DepthParams(frames, mean=True), time.monotonic())

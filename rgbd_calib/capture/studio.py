@@ -7,14 +7,14 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
-from rgbd_calib.capture.board_watch import BoardFinder, Look
+from rgbd_calib.capture.board_watch import BoardFinder, DetectedFrameSet
 from rgbd_calib.capture.guide import Guide
 from rgbd_calib.capture.shots import Photographer
 from rgbd_calib.capture.stillness import Corners
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.io.growing_recording import CameraImages
 from rgbd_calib.sensors.frames import FrameSet
-from rgbd_calib.sensors.rig import Rig
+from rgbd_calib.sensors.rig import SensorRig
 from rgbd_calib.sensors.writer import FrameSetWriter
 
 _SLOW_DISK_S = 1.0
@@ -42,7 +42,7 @@ class Stopped(Exception):
 class Studio:
     """A running rig and everything around it."""
 
-    rig: Rig
+    rig: SensorRig
     photographer: Photographer
     writer: FrameSetWriter
     guide: Guide
@@ -91,10 +91,10 @@ class Studio:
         if self.stop.wait(max(0.0, seconds)):
             raise Stopped
 
-    def look(self, only: str | None = None) -> Look:
+    def look(self, only: str | None = None) -> DetectedFrameSet:
         """A frame set with the board's corners in it."""
         frame_set = self.frame_set(only)
-        look = self.finder.look(frame_set) if self.finder else Look(frame_set, {})
+        look = self.finder.look(frame_set) if self.finder else DetectedFrameSet(frame_set, {})
         self.guide.looked(look, self.rig.live_cameras)
         return look
 
@@ -120,7 +120,7 @@ class Studio:
             for camera in frame_set.absent:
                 self.tally.absent[camera] = self.tally.absent.get(camera, 0) + 1
         if corners is None:
-            look = self.finder.look(frame_set) if self.finder else Look(frame_set, {})
+            look = self.finder.look(frame_set) if self.finder else DetectedFrameSet(frame_set, {})
             self.guide.looked(look, self.rig.live_cameras)
             corners = look.corners
         sizes = {c: f.color.pixels.shape[1::-1] for c, f in frame_set.frames.items()}

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from rgbd_calib.capture.board_watch import Look
+from rgbd_calib.capture.board_watch import DetectedFrameSet
 from rgbd_calib.capture.studio import Studio
 from rgbd_calib.sensors.frames import PERIOD_S, FrameSet
 
@@ -53,7 +53,7 @@ def record_wave(studio: Studio, seconds: float) -> None:
             studio.pause(PERIOD_S / 4)
 
 
-def _advice(look: Look, before: Look | None) -> str:
+def _advice(look: DetectedFrameSet, before: DetectedFrameSet | None) -> str:
     if not look.corners:
         return "no camera sees the board: bring it back, or carry it more slowly"
     if len(look.corners) < 2 and len(look.frame_set.frames) > 1:
@@ -63,7 +63,7 @@ def _advice(look: Look, before: Look | None) -> str:
     return "good: go on, turn it about all axes, near and far, stop now and then"
 
 
-def _speed_px_s(look: Look, before: Look) -> float:
+def _speed_px_s(look: DetectedFrameSet, before: DetectedFrameSet) -> float:
     """Median speed of the corners that both looks have, of the fastest camera; 0 where there are none."""
     apart_s, out = max(look.frame_set.time_s - before.frame_set.time_s, 1e-3), 0.0
     for camera in look.corners.keys() & before.corners.keys():

@@ -15,7 +15,7 @@ from rgbd_calib.cli.options import Number, board_options, give, json_option, ove
 from rgbd_calib.errors import ConfigError
 
 if TYPE_CHECKING:
-    from rgbd_calib.pipeline.init_recording import Found
+    from rgbd_calib.pipeline.init_recording import FolderContents
     from rgbd_calib.types import Board
     from rgbd_calib.views.board_guess import BoardGuess
 
@@ -154,7 +154,7 @@ def _check_board(folder: Path, board: Board, guess: BoardGuess | None) -> None:
         )
 
 
-def _registered(found: Found, registered: bool | None, asking: bool) -> bool | None:
+def _registered(found: FolderContents, registered: bool | None, asking: bool) -> bool | None:
     """Whether depth lies on colour; asked on a terminal where sizes do not tell."""
     color, depth = found.guess.streams["color"], found.guess.streams["depth"]
     if registered is not None or not depth:

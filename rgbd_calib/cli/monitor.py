@@ -14,7 +14,7 @@ from rgbd_calib.errors import CalibrationError, ConfigError
 
 if TYPE_CHECKING:
     from rgbd_calib.io.recording import Recording
-    from rgbd_calib.pipeline.monitor import Round
+    from rgbd_calib.pipeline.monitor import MonitorRound
     from rgbd_calib.types import CameraSnapshot, Rig
 
 
@@ -152,7 +152,7 @@ def command(
     return int(drifting)
 
 
-def _told(each: Round) -> str:
+def _told(each: MonitorRound) -> str:
     from rgbd_calib.pipeline.snapshot import sentence
 
     if each.verdict is None:

@@ -78,7 +78,7 @@ class ImageTask:
 
 
 @dataclass(frozen=True)
-class Found:
+class ImageDetection:
     """What was seen in an image, of which contents, by which detector; the last two are None for what was known."""
 
     view: BoardView | None
@@ -86,7 +86,7 @@ class Found:
     detector: str | None = None
 
 
-def find_in_image(task: ImageTask) -> Found:
+def find_in_image(task: ImageTask) -> ImageDetection:
     """Read an image and find the board; where it is found, read its depth.
 
     Raises
@@ -101,7 +101,7 @@ def find_in_image(task: ImageTask) -> Found:
     if found is not None:
         depth_m = recording.depth_m(*at) if recording.has_depth(*at) else None
         view = with_depth(*at, found, depth_m, task.board)
-    return Found(view, contents(recording, *at) if task.hashed else None, detector())
+    return ImageDetection(view, contents(recording, *at) if task.hashed else None, detector())
 
 
 def detect(
@@ -122,11 +122,11 @@ def detect(
     sent = recording if workers.dask is None else replace(recording, path=recording.path.absolute())
     with closing(DetectionCache(recording, board, params, workers)) as cache:
 
-        def work() -> Iterator[ImageTask | Ready[Found]]:
+        def work() -> Iterator[ImageTask | Ready[ImageDetection]]:
             for camera, frame in images:
                 known = cache.look(camera, frame)
                 if known is not None:
-                    yield Ready(Found(known[0]))
+                    yield Ready(ImageDetection(known[0]))
                 else:
                     yield ImageTask(sent.only(camera, frame), camera, frame, board, params, workers.cache is not None)
 

@@ -25,14 +25,14 @@ from rgbd_calib.pipeline.detection import Progress, board_of, check_detector, ch
 from rgbd_calib.pipeline.detection_cache import Contents, DetectionCache, contents, detector
 from rgbd_calib.pipeline.verify import fit_views
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.trust.displacement import CameraPoses, joined_to, locate_cameras
+from rgbd_calib.trust.displacement import LocatedCameras, joined_to, locate_cameras
 from rgbd_calib.types import Board, BoardView, PosedView, Rig, RigCamera
 from rgbd_calib.views import doctor
 from rgbd_calib.views.association import AssociationResult, associate
 from rgbd_calib.views.board_pose import pose_view
 from rgbd_calib.views.coverage import CoverageParams, measure_coverage, nominal_intrinsics
 from rgbd_calib.views.detect import DetectParams, detect_view
-from rgbd_calib.views.doctor import DoctorParams, Finding, ImageMeasures, ViewMeasures
+from rgbd_calib.views.doctor import DoctorParams, ImageMeasures, RecordingFinding, ViewMeasures
 
 Key = tuple[str, str]
 MIN_DISTANCES, MIN_RANGE = 5, 2.0
@@ -47,7 +47,7 @@ _MIN_COS, _MIN_SQUARE_PX, _MARGIN_SQUARES = 0.45, 9.0, 1.6
 class Examination:
     """Findings, those that matter first, and what was looked at."""
 
-    findings: tuple[Finding, ...]
+    findings: tuple[RecordingFinding, ...]
     images: int
     views: int
 
@@ -187,26 +187,28 @@ def _look(task: _Task) -> _Look:
     return _Look(key, tuple(problems), image, view, measures, hashes, detector())
 
 
-def _check_files(recording: Recording) -> list[Finding]:
+def _check_files(recording: Recording) -> list[RecordingFinding]:
     """Files that nobody reads, and depth that is not registered to colour."""
-    findings = [Finding("not read", (), (), False, remark) for remark in recording.remarks]
+    findings = [RecordingFinding("not read", (), (), False, remark) for remark in recording.remarks]
     own = tuple(c for c, info in recording.cameras.items() if info.depth is not None)
     if own:
         text = (
             f"{', '.join(own)}: depth is not registered to colour; its images are not looked at here. `rgbd-calib calibrate` finds "
             "its geometry"
         )
-        findings.append(Finding("not registered", own, (), False, text))
+        findings.append(RecordingFinding("not registered", own, (), False, text))
     return findings
 
 
-def _damaged(looks: Iterable[_Look]) -> list[Finding]:
+def _damaged(looks: Iterable[_Look]) -> list[RecordingFinding]:
     return [
-        Finding("damaged", (look.key[0],), (look.key[1],), True, problem) for look in looks for problem in look.problems
+        RecordingFinding("damaged", (look.key[0],), (look.key[1],), True, problem)
+        for look in looks
+        for problem in look.problems
     ]
 
 
-def _check_walls(recording: Recording) -> list[Finding]:
+def _check_walls(recording: Recording) -> list[RecordingFinding]:
     findings = []
     for camera in recording.cameras:
         distances = [distance_m for distance_m, _ in recording.distances_m(camera).values()]
@@ -218,7 +220,7 @@ def _check_walls(recording: Recording) -> list[Finding]:
                 f"{camera}: {len(distances)} wall distances{span}; {MIN_DISTANCES} over a range of 1 to {MIN_RANGE:g} are needed. "
                 "Film the wall nearer and farther"
             )
-            findings.append(Finding("coverage", (camera,), (), True, text))
+            findings.append(RecordingFinding("coverage", (camera,), (), True, text))
     return findings
 
 
@@ -229,7 +231,7 @@ def _check_board(
     given: Mapping[str, Intrinsics],
     config: Config,
     params: DoctorParams,
-) -> list[Finding]:
+) -> list[RecordingFinding]:
     images = {look.key: look.image for look in looks if look.image is not None}
     measures = {look.key: look.measures for look in looks if look.measures is not None}
     views = [look.view for look in looks if look.view is not None]
@@ -238,7 +240,7 @@ def _check_board(
     alone = len({frame for _, frame in images}) == len(images) and len(recording.cameras) > 1
     findings = doctor.check_exposure(images, measures, params)
     for own in color_plane_findings(recording, board, views):
-        findings.append(Finding("colour planes", own.cameras, (), True, f"{own.text}. {own.advice}"))
+        findings.append(RecordingFinding("colour planes", own.cameras, (), True, f"{own.text}. {own.advice}"))
     shift_m: dict[Key, float] = {}
     unfit: dict[Key, str] = {}
     missed: dict[Key, tuple[float, bool]] = {}
@@ -247,7 +249,7 @@ def _check_board(
             mine = [p for p in posed if p.view.camera in group]
             found = associate(mine, board, group[0], group, config.association)
         except CalibrationError as error:
-            findings.append(Finding("not joined", tuple(group), (), True, str(error)))
+            findings.append(RecordingFinding("not joined", tuple(group), (), True, str(error)))
             continue
         poses = _poses(found, lenses, board)
         # a frame that one camera sees says where the others should see the board, too
@@ -296,7 +298,7 @@ def _groups(cameras: Sequence[str], views: Sequence[BoardView]) -> list[list[str
     return groups
 
 
-def _poses(found: AssociationResult, lenses: Mapping[str, Intrinsics], board: Board) -> CameraPoses:
+def _poses(found: AssociationResult, lenses: Mapping[str, Intrinsics], board: Board) -> LocatedCameras:
     """Cameras and boards by all views together, lenses as they are."""
     nothing = np.zeros((6, 6))
     cameras = {c: RigCamera(lenses[c], T, nothing) for c, T in found.T_world_color.items()}
@@ -307,7 +309,7 @@ def _poses(found: AssociationResult, lenses: Mapping[str, Intrinsics], board: Bo
 
 def _expected(
     recording: Recording,
-    poses: CameraPoses,
+    poses: LocatedCameras,
     lenses: Mapping[str, Intrinsics],
     board: Board,
     without: set[Key],
@@ -356,19 +358,19 @@ def _check_coverage(
     lenses: Mapping[str, Intrinsics],
     given: Mapping[str, Intrinsics],
     alone: bool,
-) -> list[Finding]:
+) -> list[RecordingFinding]:
     """Pairs that share no view matter; where the board has not been is advice, but for a recording of each camera alone."""
     sizes = {c: (info.width, info.height) for c, info in recording.cameras.items()}
     known = set(given) | {c for c, info in recording.cameras.items() if info.intrinsics is not None}
     findings = []
     together = CoverageParams(judge_cameras=False, judge_pairs=not alone)
     for text in measure_coverage(views, board, sizes, lenses, together).missing:
-        findings.append(Finding("not joined", (), (), True, text))
+        findings.append(RecordingFinding("not joined", (), (), True, text))
     for camera in recording.cameras:
         mine = [v for v in views if v.camera == camera]
         if camera in known or not mine:
             continue
         only = CoverageParams(judge_pairs=False)
         for text in measure_coverage(mine, board, {camera: sizes[camera]}, lenses, only).missing:
-            findings.append(Finding("coverage", (camera,), (), alone, text))
+            findings.append(RecordingFinding("coverage", (camera,), (), alone, text))
     return findings

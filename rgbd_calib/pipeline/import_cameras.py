@@ -16,7 +16,7 @@ from rgbd_calib.io.foreign.source import Kind, SourceCamera
 from rgbd_calib.io.sniff import Sniffed, sniff
 from rgbd_calib.pipeline.config import load_config
 from rgbd_calib.pipeline.detection import Progress, silent
-from rgbd_calib.pipeline.init_recording import Answers, Found, look_at, with_unit
+from rgbd_calib.pipeline.init_recording import Answers, FolderContents, look_at, with_unit
 from rgbd_calib.types import Board
 
 Ask = Callable[[str], float | None]
@@ -63,7 +63,7 @@ def describe_cameras(
         info = CameraInfo(color.width, color.height, serial=own.serial, intrinsics=_fitting(name, own, color))
         depth = first_image(folder, name, "depth") or first_image(folder, name, "ir")
         cameras[name] = info if depth is None else _with_geometry(name, info, own, depth, options.registered, remarks)
-    found: Found | None = None
+    found: FolderContents | None = None
     for name, info in cameras.items():
         depth = first_image(folder, name, "depth")
         if depth is None:
@@ -130,7 +130,7 @@ def _with_geometry(
 
 
 def _with_unit(
-    found: Found, name: str, info: CameraInfo, options: CameraOptions, ask: Ask, progress: Progress
+    found: FolderContents, name: str, info: CameraInfo, options: CameraOptions, ask: Ask, progress: Progress
 ) -> tuple[CameraInfo, str]:
     config, answers = load_config(None), Answers(options.board, options.depth_scale)
     told, remark = with_unit(found, name, info, answers, config, progress)

@@ -12,7 +12,7 @@ from rgbd_calib.errors import CalibrationError, ConfigError, RgbdCalibError
 from rgbd_calib.io.files import whole_folder
 from rgbd_calib.io.foreign.folder_writer import MARK, ImportFolder, Unfinished
 from rgbd_calib.io.foreign.plan import Match, Plan, plan_of
-from rgbd_calib.io.foreign.source import Encoded, Kind, Picture, Source, Stamps
+from rgbd_calib.io.foreign.source import Encoded, Kind, Source, SourceImage, Stamps
 from rgbd_calib.io.images import decode_image
 from rgbd_calib.io.layout import KINDS
 from rgbd_calib.io.recording import write_dataset
@@ -174,7 +174,7 @@ def _write(group: _Group, folder: ImportFolder, progress: Progress) -> None:
             continue
         left = dict(own)
 
-        def pictures(source: Source = source, own: Mapping[Key, str] = own) -> Iterator[Picture]:
+        def pictures(source: Source = source, own: Mapping[Key, str] = own) -> Iterator[SourceImage]:
             yield from source.pictures(lambda camera, kind, index: (camera, kind, index) in own)
 
         for picture in progress(pictures(), len(own), f"Importing {Path(source.name).name}"):

@@ -43,7 +43,7 @@ _UNREAD_DEPTH = (*_IMPORTED_DEPTH, ".raw", ".bin", ".dat", ".mat", ".pfm", ".hdf
 
 
 @dataclass(frozen=True)
-class Found:
+class FolderContents:
     """What a folder holds."""
 
     folder: Path
@@ -84,7 +84,7 @@ class Described:
     remarks: tuple[str, ...] = field(default=())
 
 
-def look_at(folder: Path, given: Mapping[Kind, str] | None = None, calibration: Path | None = None) -> Found:
+def look_at(folder: Path, given: Mapping[Kind, str] | None = None, calibration: Path | None = None) -> FolderContents:
     """What is in a folder, by the names and headers of its files.
 
     Raises
@@ -97,11 +97,11 @@ def look_at(folder: Path, given: Mapping[Kind, str] | None = None, calibration: 
     guess = guess_layout(folder, given)
     boards = tuple(_boards(folder))
     if calibration is not None:
-        return Found(folder, guess, ((calibration, read_calibration(calibration)),), boards)
-    return Found(folder, guess, tuple(_calibrations(folder)), boards)
+        return FolderContents(folder, guess, ((calibration, read_calibration(calibration)),), boards)
+    return FolderContents(folder, guess, tuple(_calibrations(folder)), boards)
 
 
-def check_frames(found: Found) -> None:
+def check_frames(found: FolderContents) -> None:
     """Refuse a folder whose files cannot make frames where they are.
 
     Raises
@@ -145,7 +145,7 @@ def _names(stream: Stream) -> str:
     return ", ".join(list(stream.files)[:2])
 
 
-def find_board(found: Found, progress: Progress = silent) -> BoardGuess | None:
+def find_board(found: FolderContents, progress: Progress = silent) -> BoardGuess | None:
     """The checkerboard that is seen in some images of the folder."""
     streams = list(found.guess.streams["color"].values())
     each = -(-_IMAGES_FOR_BOARD // len(streams))
@@ -153,7 +153,7 @@ def find_board(found: Found, progress: Progress = silent) -> BoardGuess | None:
     return guess_board(_color(path) for path in progress(paths, len(paths), "Looking for a board"))
 
 
-def describe(found: Found, answers: Answers, config: Config, progress: Progress = silent) -> Described:
+def describe(found: FolderContents, answers: Answers, config: Config, progress: Progress = silent) -> Described:
     """The cameras as dataset.yaml has them; the unit of depth is concluded from the board where it is not said.
 
     Raises
@@ -189,7 +189,7 @@ def describe(found: Found, answers: Answers, config: Config, progress: Progress 
     return Described(cameras, unknown, tuple(remarks))
 
 
-def sentences(found: Found) -> list[str]:
+def sentences(found: FolderContents) -> list[str]:
     """What was found, for people."""
     lines = []
     kinds: tuple[tuple[Kind, str], ...] = (("depth", "depth"), ("ir", "infrared"))
@@ -243,7 +243,7 @@ def _calibrations(folder: Path) -> list[tuple[Path, FoundCalibration]]:
     return found
 
 
-def _calibration_of(found: Found, name: str, size: tuple[int, int]) -> tuple[str, FoundCamera]:
+def _calibration_of(found: FolderContents, name: str, size: tuple[int, int]) -> tuple[str, FoundCamera]:
     """Where the camera's lens is known from, and what is known: by its name, or the only one of a folder's only camera."""
     alone = len(found.guess.cameras) == 1
     for path, calibration in found.calibrations:
@@ -271,7 +271,7 @@ def _with_geometry(info: CameraInfo, depth: Stream, known: FoundCamera, register
 
 
 def with_unit(
-    found: Found, name: str, info: CameraInfo, answers: Answers, config: Config, progress: Progress
+    found: FolderContents, name: str, info: CameraInfo, answers: Answers, config: Config, progress: Progress
 ) -> tuple[CameraInfo, str]:
     """The camera with the unit of its depth stated, and how that is known; or as it was, and why it is not."""
     floating = found.float_depth(name)
@@ -311,7 +311,7 @@ def with_unit(
     return replace(info, depth_scale=told.unit_m, depth_stated=True), remark
 
 
-def _usual_depth(found: Found, name: str) -> float:
+def _usual_depth(found: FolderContents, name: str) -> float:
     stream = found.guess.streams["depth"][name]
     medians = []
     for frame in _some(list(stream.files), 5):
@@ -322,7 +322,7 @@ def _usual_depth(found: Found, name: str) -> float:
 
 
 def _unit_by_board(
-    found: Found, name: str, info: CameraInfo, board: Board, config: Config, progress: Progress
+    found: FolderContents, name: str, info: CameraInfo, board: Board, config: Config, progress: Progress
 ) -> DepthUnit:
     color, depth = found.guess.streams["color"][name], found.guess.streams["depth"][name]
     frames = _some([f for f in color.files if f in depth.files], _VIEWS_FOR_UNIT)

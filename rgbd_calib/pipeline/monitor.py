@@ -23,7 +23,7 @@ from rgbd_calib.trust.snapshot.rig import RigVerdict
 from rgbd_calib.types import CameraSnapshot, Rig
 
 _FIRST = b"# HELP rgbd_calib_monitor_"
-Source = Callable[[], Mapping[str, CameraSnapshot] | None]
+SnapshotSource = Callable[[], Mapping[str, CameraSnapshot] | None]
 """New snapshots by camera; None where there is nothing new since the last call."""
 
 
@@ -38,7 +38,7 @@ class MonitorParams:
 
 
 @dataclass(frozen=True)
-class Round:
+class MonitorRound:
     """One comparison."""
 
     number: int
@@ -101,10 +101,10 @@ class FolderSource:
 def watch(
     rig: Rig,
     before: Mapping[str, Before],
-    source: Source,
+    source: SnapshotSource,
     params: MonitorParams,
     pause: Callable[[float], bool],
-) -> Iterator[Round]:
+) -> Iterator[MonitorRound]:
     """Rounds until `params.rounds`, or until `pause` (seconds) says that it is to stop."""
     in_a_row, number = 0, 0
     while params.rounds is None or number < params.rounds:
@@ -114,14 +114,14 @@ def watch(
         in_a_row = in_a_row if verdict is None else in_a_row + 1 if verdict.moved else 0
         now = datetime.now(timezone.utc).isoformat(timespec="seconds")
         seconds = time.monotonic() - begin
-        yield Round(number, now, verdict, problem, in_a_row >= params.confirm, seconds)
+        yield MonitorRound(number, now, verdict, problem, in_a_row >= params.confirm, seconds)
         last = params.rounds is not None and number >= params.rounds
         if last or pause(max(params.every_s - (time.monotonic() - begin), 0.0)):
             return
 
 
 def _round(
-    rig: Rig, before: Mapping[str, Before], source: Source, params: MonitorParams
+    rig: Rig, before: Mapping[str, Before], source: SnapshotSource, params: MonitorParams
 ) -> tuple[RigVerdict | None, str]:
     try:
         taken = source()
@@ -146,7 +146,7 @@ def refuse_foreign(path: Path) -> None:
                 )
 
 
-def metrics(round_: Round, failures: int) -> str:
+def metrics(round_: MonitorRound, failures: int) -> str:
     """The state in Prometheus' text format, for a textfile collector."""
     lines = [
         *_metric("rgbd_calib_monitor_rounds_total", "counter", "Rounds since the start.", [("", round_.number)]),

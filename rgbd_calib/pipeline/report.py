@@ -26,7 +26,7 @@ from rgbd_calib.pipeline.rig_inputs import common_cameras
 from rgbd_calib.pipeline.view_pictures import view_pictures
 from rgbd_calib.report import compare_page, numbers, splat
 from rgbd_calib.report.compare import Comparison, compare
-from rgbd_calib.report.page import Contents, Picture, render
+from rgbd_calib.report.page import CloudComparison, Contents, render
 from rgbd_calib.report.scene import MovedCloud
 from rgbd_calib.trust.verdict import Verdict
 from rgbd_calib.types import Board, DepthCamera, Rig, RigCamera
@@ -245,7 +245,7 @@ def _farthest_m(rig: Rig, boards: Mapping[str, FloatArray]) -> float:
 Clouds = tuple[tuple[fuse.Cloud, ...], ...]
 
 
-def _part(clouds: Clouds, rig: Rig, view: str, focus_m: FloatArray) -> Picture:
+def _part(clouds: Clouds, rig: Rig, view: str, focus_m: FloatArray) -> CloudComparison:
     """The part of the scene that several cameras see, points `focus_m` (n, 3)."""
     low, high = np.percentile(focus_m, [1, 99], axis=0)
     margin = _MARGIN * (high - low)
@@ -256,7 +256,7 @@ def _part(clouds: Clouds, rig: Rig, view: str, focus_m: FloatArray) -> Picture:
     )
 
 
-def _edge_on(clouds: Clouds, rig: Rig, board: Board, T_world_board: FloatArray) -> Picture:
+def _edge_on(clouds: Clouds, rig: Rig, board: Board, T_world_board: FloatArray) -> CloudComparison:
     """The board of this frame, looked at along its rows of squares: cameras that agree make one line."""
     size_m = np.array([board.cols - 1, board.rows - 1]) * board.square_m
     T_board_world = se3.inverse(T_world_board)
@@ -271,7 +271,7 @@ def _edge_on(clouds: Clouds, rig: Rig, board: Board, T_world_board: FloatArray) 
     viewpoint = splat.Viewpoint(np.stack([x, -z, y]), middle_m, 0.4 * float(size_m[0]))
     drawn = _draw(clouds, rig, viewpoint, EDGE_ON, near, (SIZE[0], SIZE[1] // 2))
     first, then = (splat.with_scale(p, viewpoint, _BAR_M) for p in (drawn.before, drawn.after))
-    return Picture(EDGE_ON, first, then)
+    return CloudComparison(EDGE_ON, first, then)
 
 
 def _draw(
@@ -281,11 +281,11 @@ def _draw(
     name: str,
     shown: Callable[[FloatArray], np.ndarray],
     size: tuple[int, int] = SIZE,
-) -> Picture:
+) -> CloudComparison:
     color = {camera: splat.camera_color(i) for i, camera in enumerate(rig.cameras)}
     pictures = []
     for fused in clouds:
         points_m = [cloud.points_m[shown(cloud.points_m)] for cloud in fused]
         colors = [np.full((len(p), 3), color[c.camera], np.uint8) for c, p in zip(fused, points_m, strict=True)]
         pictures.append(splat.render(np.concatenate(points_m), np.concatenate(colors), viewpoint, *size))
-    return Picture(name, *pictures)
+    return CloudComparison(name, *pictures)

@@ -85,14 +85,14 @@ def _corrected(view: BoardView, camera: RigCamera) -> BoardView:
 
 
 @dataclass(frozen=True)
-class FrameSet:
+class NearestFrames:
     """Frames of the cameras nearest to one instant; (frame, t_s, depth_t_s) by camera."""
 
     t_s: float
     frames: dict[str, tuple[str, float, float]]
 
 
-def nearest_sets(recording: Recording, clocks: Mapping[str, Clock], reference: str) -> list[FrameSet]:
+def nearest_sets(recording: Recording, clocks: Mapping[str, Clock], reference: str) -> list[NearestFrames]:
     """For each frame of the reference the nearest of each other camera, none farther than half a period; each used once.
 
     Raises
@@ -126,7 +126,7 @@ def nearest_sets(recording: Recording, clocks: Mapping[str, Clock], reference: s
                 taken[int(j)] = k
         for j, k in taken.items():
             chosen[k][c] = (names[j], float(own[j]), float(own_depth[j]))
-    sets = [FrameSet(float(t), own) for t, own in zip(times, chosen, strict=True) if len(own) > 1]
+    sets = [NearestFrames(float(t), own) for t, own in zip(times, chosen, strict=True) if len(own) > 1]
     if not sets:
         raise ConfigError(
             f"{recording.path}: frames of two cameras within half a period expected, none found on the clocks given. Are they "

@@ -16,10 +16,10 @@ from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.rig_inputs import board_for, common_cameras
 from rgbd_calib.quality import WeightRound
 from rgbd_calib.trust.displacement import (
-    CameraPoses,
+    DisplacementVerdict,
     FittedView,
-    Noise,
-    Verdict,
+    LocatedCameras,
+    ObservationNoise,
     VerdictParams,
     fit_view,
     joined_to,
@@ -41,8 +41,8 @@ _CHI2_3_MEDIAN = 2.366
 class Verification:
     """The verdict and what it rests on."""
 
-    verdict: Verdict
-    poses: CameraPoses
+    verdict: DisplacementVerdict
+    poses: LocatedCameras
     left_out: dict[tuple[str, str], str]
     """Why, by (camera, frame), of views that fit nothing."""
 
@@ -122,7 +122,7 @@ def summary(result: Verification) -> dict[str, Any]:
     }
 
 
-def sentence(verdict: Verdict) -> str:
+def sentence(verdict: DisplacementVerdict) -> str:
     """The verdict, and what to do."""
     limit = f"{1e3 * verdict.max_m:g} mm"
     if verdict.moved:
@@ -155,7 +155,7 @@ def fit_views(rig: Rig, placed: Sequence[PlacedView], board: Board) -> tuple[Fit
     """The board's pose in every view, by weights that the views' own residuals give."""
     common = _common_noise(rig)
 
-    def fit(view: PlacedView, noise: Noise) -> FittedView:
+    def fit(view: PlacedView, noise: ObservationNoise) -> FittedView:
         own = rig.cameras[view.view.camera]
         return fit_view(view, board, own.intrinsics, own.depth_sensor, noise)
 
@@ -193,9 +193,9 @@ def _label(
     return again.views, again.dropped, T_world_color | moved
 
 
-def _common_noise(rig: Rig) -> Noise:
+def _common_noise(rig: Rig) -> ObservationNoise:
     """What the rig's own calibration says of errors that a whole view shares; else the defaults."""
-    last, default = (rig.quality.rounds or (WeightRound(),))[-1], Noise()
+    last, default = (rig.quality.rounds or (WeightRound(),))[-1], ObservationNoise()
     pixel, depth = last.pose_part_pixel, last.pose_part_depth
     return replace(
         default,
@@ -204,7 +204,7 @@ def _common_noise(rig: Rig) -> Noise:
     )
 
 
-def _noise_of(fitted: Sequence[FittedView], common: Noise) -> Noise:
+def _noise_of(fitted: Sequence[FittedView], common: ObservationNoise) -> ObservationNoise:
     if not fitted:
         return common
     k = np.array([v.k_depth_per_m for v in fitted])

@@ -30,14 +30,14 @@ from rgbd_calib.quality.course import (
     WeightRound,
 )
 from rgbd_calib.quality.record import Record, overlaid
-from rgbd_calib.quality.self_check import BoardScale, Finding, HeldOutPart, Level, ScoreOutcome, SelfCheck
+from rgbd_calib.quality.self_check import BoardScaleEstimate, Finding, HeldOutPart, Level, ScoreOutcome, SelfCheck
 from rgbd_calib.quality.truth import TrueChange, TrueWall
 from rgbd_calib.quality.whole import Quality
 
 __all__ = [
     "AlignmentNumbers",
     "BiasSamples",
-    "BoardScale",
+    "BoardScaleEstimate",
     "CameraStatistics",
     "CameraUpdate",
     "CarriedBoard",

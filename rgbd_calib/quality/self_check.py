@@ -27,7 +27,7 @@ class Finding(Record):
 
 
 @dataclass(frozen=True, slots=True)
-class BoardScale(Record):
+class BoardScaleEstimate(Record):
     """How much longer the board's squares are by the depth than stated: distances as such are known no better."""
 
     percent: float
@@ -67,7 +67,7 @@ class SelfCheck(Record):
     trusted: bool
     findings: tuple[Finding, ...]
     """Those that matter most first."""
-    scale: BoardScale | None = None
+    scale: BoardScaleEstimate | None = None
     tests: tuple[ScoreOutcome, ...] | None = None
     tested: int | None = None
     held_out: tuple[HeldOutPart, ...] | None = None

@@ -31,7 +31,7 @@ DEPTHS_M = (0.75, 1.0, 1.5, 2.0, 3.0, 4.0)
 
 
 @dataclass(frozen=True)
-class Motion:
+class PoseDifference:
     """One camera of two rigs, the second less the first."""
 
     camera: str
@@ -93,7 +93,7 @@ class Comparison:
     sides: tuple[Side, Side]
     frame: str
     """The camera in whose frame poses are compared."""
-    motions: tuple[Motion, ...]
+    motions: tuple[PoseDifference, ...]
     changed: tuple[Changed, ...]
     only: tuple[tuple[str, ...], tuple[str, ...]]
     """Cameras that only one has."""
@@ -184,19 +184,21 @@ def _side(rig: Rig, name: str, verdict: Verdict) -> Side:
     )
 
 
-def _motion(a: Rig, b: Rig, name: str, frame: str, untested: bool) -> Motion:
+def _motion(a: Rig, b: Rig, name: str, frame: str, untested: bool) -> PoseDifference:
     one, two = (in_frame(rig, frame).cameras[name] for rig in (a, b))
     center = one.T_world_color[:3, 3]
     step, turn = two.T_world_color[:3, 3] - center, so3.log(two.T_world_color[:3, :3] @ one.T_world_color[:3, :3].T)
     mm, deg = 1e3 * float(np.linalg.norm(step)), float(np.degrees(np.linalg.norm(turn)))
     if untested or not (np.any(one.covariance) and np.any(two.covariance)):
-        return Motion(name, mm, None, deg, None, None, step)
+        return PoseDifference(name, mm, None, deg, None, None, step)
     J = np.eye(6)
     J[3:, :3] = -so3.hat(center)  # of turn and centre, by the left perturbation
     C = J @ (one.covariance + two.covariance) @ J.T
     d = np.concatenate([turn, step])
     chance = float(chi2.sf(d @ np.linalg.pinv(C, rcond=1e-12, hermitian=True) @ d, 6))
-    return Motion(name, mm, 1e3 * along(step, C[3:, 3:]), deg, float(np.degrees(along(turn, C[:3, :3]))), chance, step)
+    return PoseDifference(
+        name, mm, 1e3 * along(step, C[3:, 3:]), deg, float(np.degrees(along(turn, C[:3, :3]))), chance, step
+    )
 
 
 def _changed(a: Rig, b: Rig, name: str, frame: str, independent: bool) -> Changed:

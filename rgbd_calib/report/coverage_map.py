@@ -10,7 +10,7 @@ import numpy as np
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.report.plots import Figure
 from rgbd_calib.types import IntArray
-from rgbd_calib.views.coverage import CoverageParams, PlacedView, region_names
+from rgbd_calib.views.coverage import CoverageParams, ViewCoverage, region_names
 
 BANDS = ("near", "middle", "far")
 _COUNTS = [[0, "#f3d9d3"], [0.001, "#eef3f7"], [1, "#4f86b8"]]
@@ -47,7 +47,7 @@ class RangeCoverage:
         return out
 
 
-def range_coverage(placed: Sequence[PlacedView], cameras: Sequence[str]) -> dict[str, RangeCoverage]:
+def range_coverage(placed: Sequence[ViewCoverage], cameras: Sequence[str]) -> dict[str, RangeCoverage]:
     """By camera; the distances of all views of the rig, split in three equal bands; all views in one where no distance is known."""
     distances_m = np.array([v.distance_m for v in placed if np.isfinite(v.distance_m)])
     edges_m = np.full(2, np.nan)

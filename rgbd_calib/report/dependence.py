@@ -15,7 +15,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.residuals import Residuals
 from rgbd_calib.report.numbers import Sensor
 from rgbd_calib.report.plots import Figure, axes, line, plain
-from rgbd_calib.views.coverage import PlacedView
+from rgbd_calib.views.coverage import ViewCoverage
 
 BINS = 8
 """At most; fewer where bins would hold too few views."""
@@ -66,7 +66,7 @@ def _mean(x: FloatArray, values: FloatArray, view: np.ndarray) -> tuple[float, f
     return float(x.mean()), float(means.mean()), float(means.std(ddof=1) / np.sqrt(len(n)))
 
 
-def against(r: Residuals, sensor: Sensor, placed: Mapping[tuple[str, str], PlacedView]) -> dict[str, FloatArray]:
+def against(r: Residuals, sensor: Sensor, placed: Mapping[tuple[str, str], ViewCoverage]) -> dict[str, FloatArray]:
     """By key of `AGAINST`, what each row (n,) of one sensor's residuals was measured at; NaN where it is not known."""
     lens = sensor.intrinsics
     views = [placed.get((sensor.name, str(frame))) for frame in r.frame]
@@ -81,7 +81,7 @@ def against(r: Residuals, sensor: Sensor, placed: Mapping[tuple[str, str], Place
 
 
 def dependences(
-    left: Residuals, sensors: Sequence[Sensor], placed: Sequence[PlacedView]
+    left: Residuals, sensors: Sequence[Sensor], placed: Sequence[ViewCoverage]
 ) -> dict[str, dict[str, dict[str, Trend]]]:
     """Trends by what (px, radial, depth), against what, and sensor; of what was used. Those without a bin are left out.
 

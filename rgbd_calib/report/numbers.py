@@ -13,7 +13,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.residuals import Residuals
 from rgbd_calib.trust.verdict import Verdict, judge, limits_in
 from rgbd_calib.types import Board, BoardView, Rig
-from rgbd_calib.views.coverage import Coverage, CoverageParams, PlacedView, place_view, summarize_coverage
+from rgbd_calib.views.coverage import Coverage, CoverageParams, ViewCoverage, place_view, summarize_coverage
 
 CELLS = (8, 6)
 """Columns and rows of the cells of an image."""
@@ -117,7 +117,7 @@ def over_image(r: Residuals, width: int, height: int) -> Cells:
     )
 
 
-def placed_views(r: Residuals, board: Board, intrinsics: Mapping[str, Intrinsics]) -> list[PlacedView]:
+def placed_views(r: Residuals, board: Board, intrinsics: Mapping[str, Intrinsics]) -> list[ViewCoverage]:
     """Where each view that was used has the board; of the cameras in `intrinsics`."""
     sizes = {name: (own.width, own.height) for name, own in intrinsics.items()}
     out = []
@@ -135,14 +135,14 @@ def placed_views(r: Residuals, board: Board, intrinsics: Mapping[str, Intrinsics
     return out
 
 
-def coverage_of_rig(rig: Rig, placed: Sequence[PlacedView]) -> Coverage:
+def coverage_of_rig(rig: Rig, placed: Sequence[ViewCoverage]) -> Coverage:
     """Coverage by the views that a rig was calibrated from; depth cameras go with their colour cameras."""
     judge_cameras = "own views" in str(rig.provenance.get("intrinsics", ""))
     mine = [view for view in placed if view.camera in rig.cameras]
     return summarize_coverage(mine, tuple(rig.cameras), CoverageParams(judge_cameras=judge_cameras))
 
 
-def placed_views_of_rig(rig: Rig, residuals: Residuals | None) -> list[PlacedView] | None:
+def placed_views_of_rig(rig: Rig, residuals: Residuals | None) -> list[ViewCoverage] | None:
     """None where the views, or the board, are not known."""
     board = rig.quality.board
     if residuals is None or board is None:

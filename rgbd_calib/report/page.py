@@ -27,7 +27,7 @@ MAX_BYTES = 15_000_000
 
 
 @dataclass(frozen=True)
-class Picture:
+class CloudComparison:
     """The fused cloud from one side, before and after."""
 
     view: str
@@ -45,7 +45,7 @@ class Contents:
     boards: Mapping[str, FloatArray]
     """T_world_board (4, 4) by frame."""
     residuals: Residuals | None
-    pictures: tuple[Picture, ...] = ()
+    pictures: tuple[CloudComparison, ...] = ()
     cloud_note: str = ""
     missing: Mapping[str, str] = field(default_factory=dict)
     """Sentences by section: images, residuals, clouds."""

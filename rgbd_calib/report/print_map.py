@@ -12,7 +12,7 @@ from rgbd_calib.types import Board
 
 
 @dataclass(frozen=True)
-class Sheet:
+class PrintMap:
     """One face of a board."""
 
     face: str
@@ -46,7 +46,7 @@ class Sheet:
         return float(np.sqrt(np.mean(self.sd_mm[:, :2] ** 2))) < float(np.sqrt(np.mean(self.offset_mm**2)))
 
 
-def sheets_of(board: Board) -> list[Sheet]:
+def sheets_of(board: Board) -> list[PrintMap]:
     """Front and back as far as the board's shape is known."""
     if board.shape is None:
         return []
@@ -55,7 +55,7 @@ def sheets_of(board: Board) -> list[Sheet]:
     return [_sheet(board, face, points, sd) for face, points, sd in faces if points is not None]
 
 
-def _sheet(board: Board, face: str, points_m: FloatArray, sd_m: FloatArray | None) -> Sheet:
+def _sheet(board: Board, face: str, points_m: FloatArray, sd_m: FloatArray | None) -> PrintMap:
     designed = 1e3 * board.square_m * board.grid
     true = 1e3 * points_m[:, :2]
     p, q = designed - designed.mean(axis=0), true - true.mean(axis=0)
@@ -64,7 +64,7 @@ def _sheet(board: Board, face: str, points_m: FloatArray, sd_m: FloatArray | Non
     A = np.linalg.lstsq(p, turned, rcond=None)[0].T  # turned = A p + local
     flat = np.column_stack([designed, np.ones(len(designed))])
     height = 1e3 * points_m[:, 2]
-    return Sheet(
+    return PrintMap(
         face,
         designed,
         turned - p,
@@ -76,7 +76,7 @@ def _sheet(board: Board, face: str, points_m: FloatArray, sd_m: FloatArray | Non
     )
 
 
-def figure(sheet: Sheet, square_mm: float) -> tuple[Figure, float]:
+def figure(sheet: PrintMap, square_mm: float) -> tuple[Figure, float]:
     """Arrows from the designed corners to the true ones, lengthened, and by how much; bars are standard deviations, as long."""
     scale = longest(sheet.offset_mm, 0.8 * square_mm)
     tips = sheet.places_mm + scale * sheet.offset_mm
@@ -105,7 +105,7 @@ def figure(sheet: Sheet, square_mm: float) -> tuple[Figure, float]:
     return {"data": [grid, lines, ends], "layout": _layout()}, scale
 
 
-def bow(sheet: Sheet, board: Board) -> Figure:
+def bow(sheet: PrintMap, board: Board) -> Figure:
     """Height of the corners over their best plane, mm."""
     z = sheet.height_mm.reshape(board.rows, board.cols)
     x, y = sheet.places_mm[: board.cols, 0], sheet.places_mm[:: board.cols, 1]

@@ -25,7 +25,7 @@ from rgbd_calib.report.numbers import DEPTH, Sensor
 from rgbd_calib.report.plots import Figure
 from rgbd_calib.trust.verdict import Verdict
 from rgbd_calib.types import Board, Rig
-from rgbd_calib.views.coverage import Coverage, CoverageParams, PlacedView
+from rgbd_calib.views.coverage import Coverage, CoverageParams, ViewCoverage
 
 Drawn = dict[str, Figure]
 FIRST_STEPS = 4
@@ -89,7 +89,7 @@ class Covered:
     empty: dict[str, list[str]]
 
 
-def coverage(drawn: Drawn, rig: Rig, placed: Sequence[PlacedView]) -> Covered:
+def coverage(drawn: Drawn, rig: Rig, placed: Sequence[ViewCoverage]) -> Covered:
     """Coverage of images and ranges."""
     own = numbers.coverage_of_rig(rig, placed)
     ranges = coverage_map.range_coverage([v for v in placed if v.camera in rig.cameras], list(rig.cameras))
@@ -155,7 +155,9 @@ def board_print(drawn: Drawn, board: Board | None) -> list[dict[str, Any]]:
     return out
 
 
-def residuals(drawn: Drawn, sensors: Sequence[Sensor], left: Residuals, placed: Sequence[PlacedView]) -> dict[str, Any]:
+def residuals(
+    drawn: Drawn, sensors: Sequence[Sensor], left: Residuals, placed: Sequence[ViewCoverage]
+) -> dict[str, Any]:
     """Residuals by view, over the image, and against what they may depend on."""
     names = [sensor.name for sensor in sensors]
     rows = numbers.by_view(left)

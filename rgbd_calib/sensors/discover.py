@@ -32,7 +32,7 @@ class FoundDevice:
 
 
 @dataclass(frozen=True)
-class Found:
+class AttachedDevices:
     """All attached devices and what is wrong with how they are attached."""
 
     devices: tuple[FoundDevice, ...]
@@ -65,7 +65,7 @@ class Found:
         return cameras
 
 
-def find_cameras(runtime: Drivers) -> Found:
+def find_cameras(runtime: Drivers) -> AttachedDevices:
     """Open each attached device once, ask it who it is, and close it."""
     devices = tuple(_ask(runtime, uri) for uri in runtime.uris())
     warnings = [
@@ -80,7 +80,7 @@ def find_cameras(runtime: Drivers) -> Found:
             f"{', '.join(names)} share the USB controller {controller}; one camera fills most of it. Move all but one to "
             "other controllers (`lsusb -t`), or expect missing frames"
         )
-    return Found(devices, tuple(warnings), runtime.missing)
+    return AttachedDevices(devices, tuple(warnings), runtime.missing)
 
 
 def _ask(runtime: Drivers, uri: str) -> FoundDevice:

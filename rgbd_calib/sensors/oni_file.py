@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError, ConfigError
-from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stamps, Wanted
+from rgbd_calib.io.foreign.source import Kind, Source, SourceCamera, SourceImage, Stamps, Wanted
 from rgbd_calib.sensors.frames import SensorFrame
 from rgbd_calib.sensors.oni_player import OniHead, play
 
@@ -42,7 +42,7 @@ class OniFile(Source):
     def stamps(self) -> Mapping[str, Stamps]:
         return {self._camera: self._stamps}
 
-    def pictures(self, wanted: Wanted) -> Iterator[Picture]:
+    def pictures(self, wanted: Wanted) -> Iterator[SourceImage]:
         counts: dict[Kind, int] = {"color": -1, "depth": -1}
         for frame in self._play():
             counts[frame.kind] += 1
@@ -51,7 +51,7 @@ class OniFile(Source):
             pixels = frame.pixels[:, ::-1] if self._mirrored else frame.pixels
             if frame.kind == "color":
                 pixels = pixels[..., ::-1]
-            yield Picture(self._camera, frame.kind, counts[frame.kind], np.ascontiguousarray(pixels))
+            yield SourceImage(self._camera, frame.kind, counts[frame.kind], np.ascontiguousarray(pixels))
 
     def _play(self) -> Iterator[SensorFrame]:
         """Every frame; nothing seeks back."""

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from rgbd_calib.errors import CalibrationError, ConfigError
-from rgbd_calib.sensors.openni2_device import Device, reason
+from rgbd_calib.sensors.openni2_device import OpenNi2Device, reason
 
 _LIBRARIES = ("libOpenNI2.so", "libOpenNI2.so.0", "libOpenNI2.dylib", "OpenNI2.dll")
 
@@ -25,7 +25,7 @@ class Runtime:
     def __init__(self, binding: Any, folder: Path) -> None:
         self._binding = binding
         self.folder = folder
-        self._devices: list[Device] = []
+        self._devices: list[OpenNi2Device] = []
         self._abandoned = False
         atexit.register(self.close)  # runs before the binding's own hook, which would close under our feet
 
@@ -45,7 +45,7 @@ class Runtime:
         """Devices that are attached now."""
         return [uri.decode() for uri in self._binding.Device.enumerate_uris()]
 
-    def open(self, uri: str) -> Device:
+    def open(self, uri: str) -> OpenNi2Device:
         """Open a device or a recorded file by its uri.
 
         Raises
@@ -54,7 +54,7 @@ class Runtime:
             The device does not open.
         """
         try:
-            device = Device(self._binding, self._binding.Device(uri.encode()))
+            device = OpenNi2Device(self._binding, self._binding.Device(uri.encode()))
         except self._binding.OpenNIError as error:
             raise CalibrationError(
                 f"{uri}: the device does not open ({reason(error)}). It must be free and reachable: close other programs "

@@ -27,7 +27,7 @@ _SERIAL, _FIRMWARE = 3, 0
 _CLOSE_PAUSE_S = 0.05  # between stopping and closing streams: the runtime's threads need it
 
 
-class Device:
+class OpenNi2Device:
     """An open device with one colour and one depth stream."""
 
     def __init__(self, binding: Any, handle: Any) -> None:

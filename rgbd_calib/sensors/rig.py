@@ -43,7 +43,7 @@ class _Seat:
         return not self.gone and not self.silent
 
 
-class Rig:
+class SensorRig:
     """Opened, configured and streaming cameras; use as a context manager.
 
     Parameters
@@ -84,7 +84,7 @@ class Rig:
         self._camera_settings: dict[str, dict[str, Any]] = {}
         self._wanted = dict(cameras)
 
-    def __enter__(self) -> Rig:
+    def __enter__(self) -> SensorRig:
         try:
             for camera, identity in self._wanted.items():  # one after the other: a shared bus shows at the second
                 self._seats[camera] = self._seat(camera, identity)

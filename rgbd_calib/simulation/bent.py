@@ -18,7 +18,7 @@ import numpy as np
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation.board import first_m, outline_m
-from rgbd_calib.simulation.printed import Printed, Sheet
+from rgbd_calib.simulation.printed import Printed, PrintedFace
 
 _NODE_M = 0.008
 """Grid spacing: offsets with a period of 0.2 m are linear in between to 1 % of their amplitude."""
@@ -67,7 +67,7 @@ def bent_faces(print_: Printed | None, T_room_board: FloatArray, eye_m: FloatArr
     return faces
 
 
-def _bent_face(sheet: Sheet, eye_m: FloatArray) -> BentFace:
+def _bent_face(sheet: PrintedFace, eye_m: FloatArray) -> BentFace:
     low, high = outline_m(sheet.board)
     size = (high - low)[:2]
     n = np.ceil(size / _NODE_M).astype(int) + 1

@@ -15,7 +15,7 @@ from rgbd_calib.simulation.bent import bent_faces
 from rgbd_calib.simulation.clocks import CameraClock
 from rgbd_calib.simulation.motion import HandMotion
 from rgbd_calib.simulation.printed import Printed
-from rgbd_calib.simulation.render import Picture, render_with_board
+from rgbd_calib.simulation.render import IdealImage, render_with_board
 from rgbd_calib.simulation.scene import Caster
 from rgbd_calib.simulation.surfaces import see_board, with_board
 from rgbd_calib.simulation.view import View
@@ -29,7 +29,7 @@ _ROUNDS = 4
 
 
 @dataclass(frozen=True)
-class Carried:
+class BoardExposure:
     """The motion of the board about one exposure."""
 
     motion: HandMotion
@@ -66,15 +66,15 @@ class Carried:
 
 
 def render_carried(
-    carried: Carried,
+    carried: BoardExposure,
     K: Intrinsics,
     T_room_color: FloatArray,
-    room: Picture,
+    room: IdealImage,
     room_caster: Caster,
     board: Board,
     made: Printed | None,
     rng: np.random.Generator,
-) -> Picture:
+) -> IdealImage:
     """What the camera sees over the exposure; depth and cosines are those of the middle row's instant."""
     rows = BAND_ROWS if carried.clock.readout_s else K.height
     light = room.light.copy()
@@ -86,7 +86,7 @@ def render_carried(
             continue
         view, above = _band(K, _key(T_room_color), first, last)
         part = slice(first - above, last + min(1, K.height - last))
-        own = Picture(room.light[part], room.z_m[part], room.cos_incidence[part])
+        own = IdealImage(room.light[part], room.z_m[part], room.cos_incidence[part])
         delay = carried.row_delay_s((first + last - 1) / 2, K.height)
         total = np.zeros_like(own.light)
         for k in range(BLUR_SAMPLES):
@@ -99,17 +99,17 @@ def render_carried(
 
 
 def depth_picture(
-    carried: Carried, view: View, room: Picture, board: Board, made: Printed | None
-) -> tuple[Picture, Caster]:
+    carried: BoardExposure, view: View, room: IdealImage, board: Board, made: Printed | None
+) -> tuple[IdealImage, Caster]:
     """Depth and cosines at the depth image's instant, registered to colour, and the board there."""
     T = carried.depth_pose
     return _geometry(T, view, room, board, made), Caster(boards.plate(board).moved(T))
 
 
-def _geometry(T: FloatArray, view: View, room: Picture, board: Board, made: Printed | None) -> Picture:
+def _geometry(T: FloatArray, view: View, room: IdealImage, board: Board, made: Printed | None) -> IdealImage:
     caster = Caster(boards.plate(board).moved(T))
     seen = see_board(view, room.z_m, caster, bent_faces(made, T, view.origin_m))
-    return Picture(room.light, *with_board(room.z_m, room.cos_incidence, seen))
+    return IdealImage(room.light, *with_board(room.z_m, room.cos_incidence, seen))
 
 
 def _reach(K: Intrinsics, T_room_color: FloatArray, board: Board, poses: list[FloatArray]) -> tuple[float, float]:

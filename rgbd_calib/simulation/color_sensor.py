@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from rgbd_calib.simulation import textures
-from rgbd_calib.simulation.render import Picture
+from rgbd_calib.simulation.render import IdealImage
 
 _NOISE_FLOOR = 0.02
 _MIDDLE, _SLOPE = 0.214, 1.16
@@ -54,7 +54,7 @@ class Optics:
 
 
 def develop(
-    picture: Picture,
+    picture: IdealImage,
     noise: ColorNoise,
     rng: np.random.Generator,
     optics: Optics | None = None,

@@ -30,7 +30,7 @@ from rgbd_calib.simulation.lighting import instant_light
 from rgbd_calib.simulation.params import IMAGE, LIGHT, ROOM, SimulationParams, generator
 from rgbd_calib.simulation.plan import Job
 from rgbd_calib.simulation.printed import Printed
-from rgbd_calib.simulation.render import Picture, render_room, render_with_board
+from rgbd_calib.simulation.render import IdealImage, render_room, render_with_board
 from rgbd_calib.simulation.rig import TrueRig
 from rgbd_calib.simulation.room import furnished_room
 from rgbd_calib.simulation.scene import Caster
@@ -86,9 +86,9 @@ def make_room(camera: str) -> str:
 
 
 @lru_cache(maxsize=64)
-def _room_picture(camera: str) -> Picture:
+def _room_picture(camera: str) -> IdealImage:
     with np.load(_setting.rooms / f"{camera}.npz") as stored:
-        return Picture(stored["light"], stored["z"], stored["cos"])
+        return IdealImage(stored["light"], stored["z"], stored["cos"])
 
 
 @lru_cache(maxsize=64)
@@ -192,7 +192,7 @@ def _length(camera: str) -> FloatArray:
     return np.linalg.norm(view.in_camera, axis=1).reshape(view.shape)
 
 
-def _sight(job: Job, picture: Picture, board_caster: Caster | None, rng: np.random.Generator) -> _Sight:
+def _sight(job: Job, picture: IdealImage, board_caster: Caster | None, rng: np.random.Generator) -> _Sight:
     """What the depth camera sees, in its own geometry."""
     own = _depth_view(job.camera)
     view = own or _view(job.camera)

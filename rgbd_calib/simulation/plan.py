@@ -8,7 +8,7 @@ import numpy as np
 
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation import poses
-from rgbd_calib.simulation.carried import Carried
+from rgbd_calib.simulation.carried import BoardExposure
 from rgbd_calib.simulation.clocks import CameraClock, Exposures, WaveParams, draw_clocks, expose
 from rgbd_calib.simulation.motion import HandMotion, hand_motion
 from rgbd_calib.simulation.params import CLOSE, SHARED, TAPE, WALL, WAVE, SimulationParams, generator
@@ -33,7 +33,7 @@ class Job:
     wall: TapedWall | None = None
     warm: float = 1.0
     """Elapsed share of the session, from 0 to 1."""
-    carried: Carried | None = None
+    carried: BoardExposure | None = None
     """The board's motion, where it moves."""
 
 
@@ -59,7 +59,7 @@ def _wave_jobs(own: Carrying, wave: WaveParams) -> list[Job]:
     for c, taken in own.exposures.items():
         poses = own.motion.poses(taken.t_s)
         for stem, t, T in zip(taken.stems, taken.t_s, poses, strict=True):
-            carried = Carried(own.motion, np.eye(4), float(t), own.clocks[c], wave.exposure_s)
+            carried = BoardExposure(own.motion, np.eye(4), float(t), own.clocks[c], wave.exposure_s)
             out.append(Job("wave", c, stem, T, carried=carried))
     return out
 

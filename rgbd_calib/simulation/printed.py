@@ -71,7 +71,7 @@ class Plate:
 
 
 @dataclass(frozen=True)
-class Sheet:
+class PrintedFace:
     """The print on one face; page coordinates are in the face's own frame, metres."""
 
     board: Board
@@ -103,8 +103,8 @@ class Sheet:
 class Printed:
     """Both faces of a board."""
 
-    front: Sheet
-    back: Sheet | None
+    front: PrintedFace
+    back: PrintedFace | None
 
     @property
     def board(self) -> Board:
@@ -130,7 +130,7 @@ def printed(board: Board, realism: Realism, rng: np.random.Generator) -> Printed
         R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
         # remove the affine part of the offsets, so that aspect and shear are as drawn
         linear, moved = R @ A - straight[:2].T, shift - straight[2]
-        sheets.append(Sheet(board, back, linear, moved, waves, plate, np.eye(4)))
+        sheets.append(PrintedFace(board, back, linear, moved, waves, plate, np.eye(4)))
     T_board_made = align.rigid(board.corners_m(), sheets[0].corners_m())
     made = [replace(sheet, T_board_made=T_board_made) for sheet in sheets]
     return Printed(made[0], made[1] if board.two_sided else None)

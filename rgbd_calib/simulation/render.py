@@ -37,7 +37,7 @@ _CHUNK_RAYS = 400_000
 
 
 @dataclass(frozen=True)
-class Picture:
+class IdealImage:
     """What an ideal camera sees: no blur, no noise."""
 
     light: np.ndarray
@@ -48,7 +48,7 @@ class Picture:
     """(h, w) between ray and surface."""
 
 
-def render_room(view: View, caster: Caster, rng: np.random.Generator) -> Picture:
+def render_room(view: View, caster: Caster, rng: np.random.Generator) -> IdealImage:
     """The room as one camera sees it, with soft shadows."""
     h, w = view.shape
     hits = caster.cast(view.origin_m, view.centres)
@@ -57,17 +57,17 @@ def render_room(view: View, caster: Caster, rng: np.random.Generator) -> Picture
     for some, samples in ((np.flatnonzero(~crossed), ROOM_SAMPLES), (np.flatnonzero(crossed), EDGE_SAMPLES)):
         light[some] = _supersample(view, some, [caster], caster, rng, samples)
     cos = cos_incidence(caster.scene, hits, view.centres)
-    return Picture(light.reshape(h, w, 3), hits.t.reshape(h, w), cos.reshape(h, w))
+    return IdealImage(light.reshape(h, w, 3), hits.t.reshape(h, w), cos.reshape(h, w))
 
 
 def render_with_board(
     view: View,
-    room: Picture,
+    room: IdealImage,
     room_caster: Caster,
     board_caster: Caster,
     rng: np.random.Generator,
     bent: Mapping[int, BentFace] | None = None,
-) -> Picture:
+) -> IdealImage:
     """The room's picture with the board (and its stand) put in front of it; `bent` are its faces as this camera sees them,
     by their rectangle, None: flat and printed as they should be."""
     h, w = view.shape
@@ -85,7 +85,7 @@ def render_with_board(
     light[pixels] = board_albedo(view, scene, seen, plain, bent, rng) * irradiance
     edges = np.flatnonzero(outline)
     light[edges] = _supersample(view, edges, [board_caster, room_caster], room_caster, rng, EDGE_SAMPLES)
-    return Picture(light.reshape(h, w, 3), *with_board(room.z_m, room.cos_incidence, seen))
+    return IdealImage(light.reshape(h, w, 3), *with_board(room.z_m, room.cos_incidence, seen))
 
 
 def _supersample(

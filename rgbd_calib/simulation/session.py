@@ -42,7 +42,7 @@ _TILT_RAD = 0.6
 
 
 @dataclass(frozen=True)
-class Scene:
+class TrueScene:
     """A rig, a board and where it stood: what really was."""
 
     rig: Rig
@@ -90,7 +90,7 @@ def draw_scene(
     lenses: Sequence[LensKind] = ("brown",),
     size: tuple[int, int] = (640, 480),
     shared_m: tuple[float, float] = _SHARED_M,
-) -> Scene:
+) -> TrueScene:
     """Draw a rig as `simulate` does, and boards anywhere in the images of two cameras at least.
 
     `realism` None: lens distortion, depth bias and noise only. Lenses and poses do not depend on it. `size` is of the images, px,
@@ -115,12 +115,12 @@ def draw_scene(
                 mine[f"{101 + i}{len(mine):03d}"] = T
         close[name] = mine
     usual = ViewNoise(spread=VIEW_SPREAD if sizes.has("images") else 0.0)
-    scene = Scene(rig, board, boards, close, noise or usual, sizes)
+    scene = TrueScene(rig, board, boards, close, noise or usual, sizes)
     cameras = with_errors(drawn, "structured-light", None, sizes, of_sensors).rig_cameras
     return reprinted(replace(scene, rig=replace(rig, cameras=cameras)), board, of_print)
 
 
-def reprinted(scene: Scene, board: Board, rng: np.random.Generator) -> Scene:
+def reprinted(scene: TrueScene, board: Board, rng: np.random.Generator) -> TrueScene:
     """The scene with another nominal board and newly drawn print errors."""
     if not scene.realism.has("print"):
         return replace(scene, board=board)
@@ -149,7 +149,7 @@ def draw_board(
     return T
 
 
-def film(scene: Scene, rng: np.random.Generator, stated: Board | None = None) -> Session:
+def film(scene: TrueScene, rng: np.random.Generator, stated: Board | None = None) -> Session:
     """Every recording of a session; `stated` is the board that dataset.yaml has, None: the true one."""
     views = true_views(scene.rig, scene.boards, scene.board, scene.noise, rng)
     close = film_close(scene, rng)
@@ -167,7 +167,7 @@ def film(scene: Scene, rng: np.random.Generator, stated: Board | None = None) ->
     )
 
 
-def film_close(scene: Scene, rng: np.random.Generator) -> tuple[BoardView, ...]:
+def film_close(scene: TrueScene, rng: np.random.Generator) -> tuple[BoardView, ...]:
     """The intrinsic recording."""
     out: list[BoardView] = []
     for name, boards in scene.close.items():

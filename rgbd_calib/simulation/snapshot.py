@@ -25,7 +25,7 @@ from rgbd_calib.simulation.infrared import room_reflectance
 from rgbd_calib.simulation.lighting import instant_light
 from rgbd_calib.simulation.params import SNAPSHOT, SimulationParams, generator
 from rgbd_calib.simulation.recording import Progress, camera_infos, provenance, true_rig_of, workers
-from rgbd_calib.simulation.render import Picture, render_room
+from rgbd_calib.simulation.render import IdealImage, render_room
 from rgbd_calib.simulation.rig import TrueRig
 from rgbd_calib.simulation.scene import Caster, Scene
 from rgbd_calib.simulation.surfaces import see_room
@@ -40,10 +40,10 @@ CHANGED_M = 0.01
 
 
 @dataclass(frozen=True)
-class Sight:
+class IdealSnapshot:
     """What a camera sees, without any noise: its colour image and its depth image's geometry."""
 
-    picture: Picture
+    picture: IdealImage
     z_m: FloatArray
     """(h, w) of the depth image, along its axis."""
     cos_incidence: FloatArray
@@ -71,7 +71,7 @@ def look(
     T_room_color: FloatArray,
     caster: Caster,
     rng: np.random.Generator,
-) -> Sight:
+) -> IdealSnapshot:
     """What a camera of the rig sees from `T_room_color` (4, 4).
 
     The rays' noise must not be the same from two places: it would look like a scene that moves with the camera.
@@ -83,11 +83,11 @@ def look(
     z_m, cos = (picture.z_m, picture.cos_incidence) if own is None else see_room(seen_from, caster)
     paint = None if isinstance(params.depth_noise, DepthNoise) else room_reflectance(seen_from, caster)
     rays = np.linalg.norm(seen_from.in_camera, axis=1).reshape(seen_from.shape)
-    return Sight(picture, z_m, cos, paint, rays)
+    return IdealSnapshot(picture, z_m, cos, paint, rays)
 
 
 def take(
-    sight: Sight,
+    sight: IdealSnapshot,
     truth: TrueRig,
     params: SimulationParams,
     camera: str,

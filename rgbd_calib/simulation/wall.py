@@ -9,7 +9,7 @@ import numpy as np
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.quality import TrueWall
 from rgbd_calib.simulation import textures
-from rgbd_calib.simulation.render import Picture
+from rgbd_calib.simulation.render import IdealImage
 from rgbd_calib.simulation.view import View
 
 _PAINT = textures.plain("wall", "d9d3c5")
@@ -77,7 +77,7 @@ def tilted(most_rad: float, rng: np.random.Generator) -> FloatArray:
     return np.array([np.sin(tilt) * np.cos(way), np.sin(tilt) * np.sin(way), np.cos(tilt)])
 
 
-def render_wall(view: View, wall: Wall, rng: np.random.Generator) -> Picture:
+def render_wall(view: View, wall: Wall, rng: np.random.Generator) -> IdealImage:
     """The picture of an endless wall."""
     h, w = view.shape
     z_m = wall.z_m(view)
@@ -93,4 +93,4 @@ def render_wall(view: View, wall: Wall, rng: np.random.Generator) -> Picture:
     light = 0.75 / (1 + 0.08 * (x**2 + (y + 0.5) ** 2))
     image = (albedo * light[:, None]).astype(np.float32).reshape(h, w, 3)
     cos: FloatArray = np.abs(on_wall @ wall.normal) / np.linalg.norm(on_wall, axis=1)
-    return Picture(image, z_m, cos.reshape(h, w))
+    return IdealImage(image, z_m, cos.reshape(h, w))

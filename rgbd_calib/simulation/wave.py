@@ -15,7 +15,7 @@ from rgbd_calib.io.tables import write_table
 from rgbd_calib.simulation.clocks import CameraClock, Exposures, WaveParams, draw_clocks, expose
 from rgbd_calib.simulation.motion import HandMotion, MotionKind, hand_motion
 from rgbd_calib.simulation.poses import looks_at_back
-from rgbd_calib.simulation.session import Scene
+from rgbd_calib.simulation.session import TrueScene
 from rgbd_calib.simulation.views import depth_of_board, may_be_found
 from rgbd_calib.types import Board, BoardView, Rig, RigCamera
 
@@ -49,7 +49,11 @@ class WaveSession:
 
 
 def film_wave(
-    scene: Scene, params: WaveParams, rng: np.random.Generator, kind: MotionKind = "hand", stated: Board | None = None
+    scene: TrueScene,
+    params: WaveParams,
+    rng: np.random.Generator,
+    kind: MotionKind = "hand",
+    stated: Board | None = None,
 ) -> WaveSession:
     """Carry the scene's board before its cameras."""
     of_motion, of_clocks, of_noise = rng.spawn(3)
@@ -74,7 +78,7 @@ def _film(
     clock: CameraClock,
     taken: Exposures,
     motion: HandMotion,
-    scene: Scene,
+    scene: TrueScene,
     params: WaveParams,
     rng: np.random.Generator,
 ) -> list[BoardView]:

@@ -77,7 +77,7 @@ class JointCovariance:
 
 
 @dataclass(frozen=True)
-class ExpectedAlignment:
+class ExpectedErrors:
     """Expected distance between the places where two cameras put the same point."""
 
     points_m: FloatArray
@@ -128,7 +128,7 @@ def place(rig: Rig, name: str, seen: Observed) -> FloatArray:
 
 def expected_alignment(
     rig: Rig, joint: JointCovariance, points_m: FloatArray, cameras: Sequence[str]
-) -> ExpectedAlignment | None:
+) -> ExpectedErrors | None:
     """Expected alignment error at points (n, 3), metres, in the world, of `cameras`, those with depth.
 
     Returns
@@ -154,7 +154,7 @@ def expected_alignment(
             S = J @ joint.matrix[np.ix_(at, at)] @ J.transpose(0, 2, 1)
             beyond = sum(held[c][both, :, None] * held[c][both, None, :] for c in (a, b))
             pairs[a, b][both] = _mean_length(S + patterns[a][both] + patterns[b][both] + beyond)
-    return ExpectedAlignment(points_m[often], pairs)
+    return ExpectedErrors(points_m[often], pairs)
 
 
 def by_parameters(rig: Rig, name: str, observed: Observed, joint: JointCovariance) -> tuple[IntArray, FloatArray]:

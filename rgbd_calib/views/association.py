@@ -113,7 +113,7 @@ def label_views(
     return tuple(placed), dropped
 
 
-Motion = tuple[bool, bool, FloatArray]
+FaceMotion = tuple[bool, bool, FloatArray]
 """(back, turned, T_face_board)."""
 
 
@@ -124,7 +124,7 @@ def _by_frame(views: Sequence[PosedView]) -> dict[str, dict[str, PosedView]]:
     return out
 
 
-def _motions(board: Board) -> list[Motion]:
+def _motions(board: Board) -> list[FaceMotion]:
     turns = (False, True) if board.symmetric else (False,)
     faces = (False, True) if board.two_sided else (False,)
     return [(back, turned, board.T_face_board(back, turned)) for back in faces for turned in turns]
@@ -139,7 +139,7 @@ def _distance(T: FloatArray, others: FloatArray, params: AssociationParams) -> F
 
 
 def _vote(
-    by_frame: dict[str, dict[str, PosedView]], motions: list[Motion], params: AssociationParams
+    by_frame: dict[str, dict[str, PosedView]], motions: list[FaceMotion], params: AssociationParams
 ) -> list[PairVotes]:
     candidates: dict[tuple[str, str], list[FloatArray]] = {}
     for frame in sorted(by_frame):
@@ -165,7 +165,7 @@ def _explained(
 
 def _other_readings(
     views: Sequence[PosedView], board: Board
-) -> Iterator[tuple[Cause, Sequence[PosedView], list[Motion]]]:
+) -> Iterator[tuple[Cause, Sequence[PosedView], list[FaceMotion]]]:
     """What people have otherwise than stated, and the views and motions that would be right."""
     for camera in sorted({v.view.camera for v in views}):
         cause = Cause(
@@ -189,7 +189,7 @@ def _mirrored(T_color_face: FloatArray, board: Board, axis: int) -> FloatArray:
     return np.asarray(of_image @ T_color_face @ of_face)
 
 
-def _other_board(board: Board) -> tuple[Cause, list[Motion]] | None:
+def _other_board(board: Board) -> tuple[Cause, list[FaceMotion]] | None:
     """What people misstate of a board with two faces, and the motions that would be right."""
     if board.two_sided and board.symmetric:
         return None
@@ -275,7 +275,7 @@ def _chain(reference: str, cameras: Sequence[str], pairs: Sequence[PairVotes]) -
 
 def _choose(
     views: dict[str, PosedView],
-    motions: list[Motion],
+    motions: list[FaceMotion],
     T_world_color: Mapping[str, FloatArray],
     params: AssociationParams,
 ) -> tuple[list[PlacedView], dict[str, str]]:

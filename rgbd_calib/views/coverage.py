@@ -52,7 +52,7 @@ class CoverageParams:
 
 
 @dataclass(frozen=True)
-class PlacedView:
+class ViewCoverage:
     """A view with the regions it fills and the board's place; distance and tilt are NaN where no pose was found."""
 
     camera: str
@@ -117,7 +117,7 @@ def place_view(
     image_size: tuple[int, int],
     intrinsics: Intrinsics | None = None,
     params: CoverageParams | None = None,
-) -> PlacedView:
+) -> ViewCoverage:
     """The regions of the image that a view fills, and the distance and tilt of the board in it.
 
     Which face and which half turn was seen does not matter: both give the same distance and tilt.
@@ -129,7 +129,7 @@ def place_view(
     regions = np.zeros((params.region_rows, params.region_columns), int)
     regions[rows, columns] = 1
     distance_m, tilt_rad = _distance_and_tilt(view, board, intrinsics or nominal_intrinsics(image_size))
-    return PlacedView(view.camera, view.frame, regions, distance_m, tilt_rad)
+    return ViewCoverage(view.camera, view.frame, regions, distance_m, tilt_rad)
 
 
 def nominal_intrinsics(image_size: tuple[int, int]) -> Intrinsics:
@@ -140,7 +140,7 @@ def nominal_intrinsics(image_size: tuple[int, int]) -> Intrinsics:
 
 
 def summarize_coverage(
-    placed: Sequence[PlacedView], cameras: Sequence[str], params: CoverageParams | None = None
+    placed: Sequence[ViewCoverage], cameras: Sequence[str], params: CoverageParams | None = None
 ) -> Coverage:
     """Coverage of `cameras` by views that were placed before, as a live display does it."""
     params = params or CoverageParams()
@@ -178,7 +178,7 @@ def _distance_and_tilt(view: BoardView, board: Board, intrinsics: Intrinsics) ->
     return float(middle_m[2]), float(np.arccos(np.clip(abs(R_color_board[2, 2]), 0.0, 1.0)))
 
 
-def _camera_coverage(placed: Sequence[PlacedView], params: CoverageParams) -> CameraCoverage:
+def _camera_coverage(placed: Sequence[ViewCoverage], params: CoverageParams) -> CameraCoverage:
     distances_m = np.array([v.distance_m for v in placed if not math.isnan(v.distance_m)])
     tilts_rad = np.array([v.tilt_rad for v in placed if not math.isnan(v.tilt_rad)])
     regions = np.zeros((params.region_rows, params.region_columns), int)

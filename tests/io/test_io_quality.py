@@ -13,7 +13,7 @@ from rgbd_calib.io.files import dump_yaml, plain
 from rgbd_calib.io.quality import quality_data, quality_of, statistics_of
 from rgbd_calib.io.safe_yaml import load
 from rgbd_calib.quality import (
-    BoardScale,
+    BoardScaleEstimate,
     CarriedBoard,
     CorrectedProperty,
     Counted,
@@ -45,7 +45,7 @@ def whole(lens) -> Quality:
         expected_alignment=expected(1.25, Counted.POSES, grid_of([[0, 0, 1.5]], [1.25])),
         alignment_on_recording=measured(median_mm=3.0),
         start=StartingRig("initialisation", {"C1": StartingCamera(np.eye(4), lens)}),
-        self_check=SelfCheck(True, (found,), BoardScale(0.1, 0.2, 1.5), tested=3),
+        self_check=SelfCheck(True, (found,), BoardScaleEstimate(0.1, 0.2, 1.5), tested=3),
         carried=CarriedBoard(3, {"C1 000001": "blurred"}, (), None, 2.5, "C1"),
         board=replace(TWO_SIDED, shape=BoardShape(TWO_SIDED.corners_m(), TWO_SIDED.corners_m(back=True))),
     )

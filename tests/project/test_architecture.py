@@ -1,6 +1,7 @@
 """The walls of the house: imports point one way, and commands import nothing heavy at the top."""
 
 import ast
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -107,3 +108,13 @@ def test_choices_of_options_are_those_of_the_modules_that_do_the_work():
 
     assert fuse.VIEWS == splat.VIEWS
     assert tuple(exports.FORMATS) == export.FORMATS
+
+
+def test_no_public_class_name_stands_twice():
+    """A name that two classes share says the subject of neither."""
+    homes = defaultdict(list)
+    for path in FILES:
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                homes[node.name].append(str(path.relative_to(ROOT)))
+    assert {name: files for name, files in homes.items() if len(files) > 1} == {}

@@ -20,10 +20,10 @@ from rgbd_calib.quality import BiasSamples, PairViews, Quality
 from rgbd_calib.report import camera_pages, coverage_map, dependence, error_map, frames, numbers, print_map
 from rgbd_calib.report import view_pictures as pictures
 from rgbd_calib.report.numbers import Sensor
-from rgbd_calib.report.page import Contents, Picture, render
+from rgbd_calib.report.page import CloudComparison, Contents, render
 from rgbd_calib.report.scene import MovedCloud, scene
 from rgbd_calib.types import Board, BoardShape, DepthBias, DepthCamera, Rig, RigCamera
-from rgbd_calib.views.coverage import PlacedView
+from rgbd_calib.views.coverage import ViewCoverage
 
 LENS = Intrinsics(640, 480, 500.0, 500.0, 319.5, 239.5)
 BOARD = Board(9, 6, 0.06)
@@ -110,7 +110,7 @@ def test_a_trend_has_as_many_bins_as_hold_three_views(views, bins):
 def test_what_residuals_are_set_against_is_where_they_were_measured():
     rows = residuals([("C1", f, (319.5 + 30, 239.5 - 40), (0.3, -0.4), 2.0, 0.001, True, True) for f in ("b", "a")])
     sensor = Sensor("C1", "C1", LENS, np.eye(4))
-    placed = {("C1", "a"): PlacedView("C1", "a", np.zeros((3, 4), int), 1.5, np.pi / 6)}
+    placed = {("C1", "a"): ViewCoverage("C1", "a", np.zeros((3, 4), int), 1.5, np.pi / 6)}
     found = dependence.against(rows, sensor, placed)
     np.testing.assert_allclose(found["radius"], [50, 50])
     np.testing.assert_allclose(found["range"], [NAN, 1.5])
@@ -139,7 +139,7 @@ def test_radial_pixel_and_depth_trends_of_constant_residuals():
 # the board as printed
 
 
-def printed(A: np.ndarray, height_m: np.ndarray | float = 0.0, sd_m: np.ndarray | None = None) -> print_map.Sheet:
+def printed(A: np.ndarray, height_m: np.ndarray | float = 0.0, sd_m: np.ndarray | None = None) -> print_map.PrintMap:
     """A board whose corners are A (2, 2) times the designed ones, turned and shifted."""
     flat = BOARD.square_m * BOARD.grid @ A.T
     turned = flat @ so3.exp(np.array([0, 0, 0.01]))[:2, :2].T + [0.002, -0.003]
@@ -274,10 +274,10 @@ def test_pictures_are_read_from_the_recording(tiny):
 
 
 def test_coverage_counts_views_by_region_and_range():
-    def placed(camera: str, distance_m: float, row: int, column: int) -> PlacedView:
+    def placed(camera: str, distance_m: float, row: int, column: int) -> ViewCoverage:
         regions = np.zeros((3, 4), int)
         regions[row, column] = 1
-        return PlacedView(camera, "f", regions, distance_m, 0.0)
+        return ViewCoverage(camera, "f", regions, distance_m, 0.0)
 
     views = [placed("C1", 1.0, 0, 0), placed("C1", 1.1, 0, 0), placed("C1", 2.5, 2, 3), placed("C2", 4.0, 1, 1)]
     views.append(placed("C1", NAN, 1, 2))
@@ -487,7 +487,7 @@ def test_pictures_are_left_out_of_a_page_that_would_be_too_long(monkeypatch):
     from rgbd_calib.report import page as page_module
 
     noise = np.random.default_rng(0).integers(0, 255, (600, 800, 3), dtype=np.uint8)
-    contents = replace(evil(), pictures=tuple(Picture(str(i), noise, noise) for i in range(8)), missing={})
+    contents = replace(evil(), pictures=tuple(CloudComparison(str(i), noise, noise) for i in range(8)), missing={})
     whole = render(contents)
     monkeypatch.setattr(page_module, "MAX_BYTES", len(whole.encode()) - 1_000_000)
     less = render(contents)

@@ -20,7 +20,7 @@ from rgbd_calib.sensors.openni2 import load_runtime
 from rgbd_calib.sensors.reader import DeviceReader
 from rgbd_calib.sensors.realsense import RealSense
 from rgbd_calib.sensors.replay import Replay
-from rgbd_calib.sensors.rig import Rig
+from rgbd_calib.sensors.rig import SensorRig
 
 WIDTH, HEIGHT = 640, 480
 T_DEPTH_M = (0.015, 0.001, -0.002)
@@ -153,7 +153,7 @@ def test_two_devices_are_found_set_up_and_deliver(driver):
 def test_a_rig_of_both(driver):
     said = []
     cameras = find_cameras(Drivers([driver])).assign({})
-    with Rig(
+    with SensorRig(
         Drivers([driver]), cameras, lambda *words: said.append(words), settle_s=0.2, allow_unregistered=True
     ) as rig:
         after_s = 0.0
@@ -207,7 +207,10 @@ def test_one_camera_gives_the_pulse_and_the_others_follow(rs):
         device.depth.add_option(mode, allowed, True)
     driver, said = Drivers([RealSense(rs, lambda: [d.handle for d in soft])]), []
     cameras = find_cameras(driver).assign({})
-    with closing(Player(soft)), Rig(driver, cameras, lambda *words: said.append(words), settle_s=0.1, sync_leader="C2"):
+    with (
+        closing(Player(soft)),
+        SensorRig(driver, cameras, lambda *words: said.append(words), settle_s=0.1, sync_leader="C2"),
+    ):
         assert [d.depth.get_option(mode) for d in soft[:2]] == [2.0, 1.0]
     assert [camera for camera, text in said if "runs freely" in text] == ["C3"]
 
@@ -232,7 +235,7 @@ def test_a_camera_that_is_unplugged_and_comes_back(rs):
     sending = list(devices)
     with (
         closing(Player(sending)),
-        Rig(driver, find_cameras(driver).assign({}), lambda *words: said.append(words), settle_s=0.1) as rig,
+        SensorRig(driver, find_cameras(driver).assign({}), lambda *words: said.append(words), settle_s=0.1) as rig,
     ):
         sending.remove(devices[1])
         attached.remove(devices[1])
@@ -321,7 +324,7 @@ def test_two_realsense_and_one_openni2_at_once_lose_nothing(rs, drawn, tmp_path,
         cameras = find_cameras(drivers).assign({})
         realsense = {c for c, identity in cameras.items() if identity.uri.startswith("realsense:")}
         assert len(realsense) == 2 and len(cameras) == 3
-        with closing(Player(devices)), Rig(drivers, cameras, lambda *words: None, settle_s=1.0) as rig:
+        with closing(Player(devices)), SensorRig(drivers, cameras, lambda *words: None, settle_s=1.0) as rig:
             start_s = time.monotonic()
             time.sleep(20.0)
             seconds, counts = time.monotonic() - start_s, rig.counts()

@@ -21,7 +21,7 @@ from rgbd_calib.simulation.color_sensor import ColorNoise, develop
 from rgbd_calib.simulation.depth_sensor import DepthNoise, biased, measure
 from rgbd_calib.simulation.poses import close_poses, looks_at_back, shared_poses
 from rgbd_calib.simulation.recording import SimulationParams, simulate
-from rgbd_calib.simulation.render import Picture, render_with_board
+from rgbd_calib.simulation.render import IdealImage, render_with_board
 from rgbd_calib.simulation.room import furnished_room
 from rgbd_calib.simulation.scene import Caster, box
 from rgbd_calib.simulation.textures import encode, linear, plain
@@ -39,9 +39,9 @@ def room() -> Caster:
     return Caster(furnished_room())
 
 
-def grey_room(shape: tuple[int, int]) -> Picture:
+def grey_room(shape: tuple[int, int]) -> IdealImage:
     """Nothing but grey, 9 m away."""
-    return Picture(np.full((*shape, 3), 0.2, np.float32), np.full(shape, 9.0), np.ones(shape))
+    return IdealImage(np.full((*shape, 3), 0.2, np.float32), np.full(shape, 9.0), np.ones(shape))
 
 
 def test_drawn_corners_are_where_the_projection_puts_them(room):

@@ -19,7 +19,7 @@ from rgbd_calib.simulation.poses import close_poses, looks_at_back, shared_poses
 from rgbd_calib.simulation.printed import printed
 from rgbd_calib.simulation.realism import Realism
 from rgbd_calib.simulation.recording import SimulationParams, simulate
-from rgbd_calib.simulation.render import Picture, render_with_board
+from rgbd_calib.simulation.render import IdealImage, render_with_board
 from rgbd_calib.simulation.room import furnished_room
 from rgbd_calib.simulation.scene import Caster
 from rgbd_calib.simulation.view import View
@@ -40,7 +40,7 @@ def test_corners_are_found_where_they_truly_are(board):
     made = printed(board, Realism(), rng)
     rig = rigs.true_rig(2, "arc", 640, 480, rng)
     view = View(rig.intrinsics["C1"], rig.T_room_color["C1"])
-    grey = Picture(np.full((480, 640, 3), 0.2, np.float32), np.full((480, 640), 9.0), np.ones((480, 640)))
+    grey = IdealImage(np.full((480, 640, 3), 0.2, np.float32), np.full((480, 640), 9.0), np.ones((480, 640)))
     errors_px, shares, faces, parts = [], [], set(), 0
     for T_room_board in [*shared_poses(rig, board, 6, room, rng), *close_poses(rig, board, "C1", 6, room, rng)]:
         T_color_board = se3.inverse(rig.T_room_color["C1"]) @ T_room_board

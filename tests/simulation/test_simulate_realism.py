@@ -23,7 +23,7 @@ from rgbd_calib.simulation.poses import close_poses, looks_at_back, shared_poses
 from rgbd_calib.simulation.printed import printed
 from rgbd_calib.simulation.realism import IDEAL, Realism
 from rgbd_calib.simulation.recording import SimulationParams, simulate
-from rgbd_calib.simulation.render import Picture, render_with_board
+from rgbd_calib.simulation.render import IdealImage, render_with_board
 from rgbd_calib.simulation.room import furnished_room
 from rgbd_calib.simulation.scene import Caster
 from rgbd_calib.simulation.session import draw_scene, film
@@ -111,7 +111,7 @@ def test_drawn_corners_are_where_the_shape_and_the_projection_put_them(room, exa
     rig = rigs.true_rig(2, "arc", 640, 480, rng)
     T_rooms = [*shared_poses(rig, BOARD, 6, room, rng), *close_poses(rig, BOARD, "C1", 6, room, rng)]
     view = View(rig.intrinsics["C1"], rig.T_room_color["C1"])
-    nothing = Picture(np.full((480, 640, 3), 0.2, np.float32), np.full((480, 640), 9.0), np.ones((480, 640)))
+    nothing = IdealImage(np.full((480, 640, 3), 0.2, np.float32), np.full((480, 640), 9.0), np.ones((480, 640)))
     errors_px, moved_px, depth_m = [], [], []
     for T_room_board in T_rooms:
         T_color_board = se3.inverse(rig.T_room_color["C1"]) @ T_room_board

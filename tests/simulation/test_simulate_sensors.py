@@ -21,7 +21,7 @@ from rgbd_calib.simulation.lenses import DEPTH_SIZES, color_lens, depth_camera
 from rgbd_calib.simulation.poses import looks_at_back
 from rgbd_calib.simulation.realism import IDEAL, Realism
 from rgbd_calib.simulation.recording import SimulationParams, simulate
-from rgbd_calib.simulation.render import Picture
+from rgbd_calib.simulation.render import IdealImage
 from rgbd_calib.simulation.rig import no_depth_bias, true_depth_bias, true_intrinsics
 from rgbd_calib.simulation.time_of_flight import (
     TimeOfFlight,
@@ -194,10 +194,10 @@ def test_brightness_falls_with_the_square_of_the_range():
     assert amplitude(2 * one, one, one, one) == pytest.approx(amplitude(one, one, one, one) / 4)
 
 
-def edges_picture(z_m: float) -> Picture:
+def edges_picture(z_m: float) -> IdealImage:
     light = np.full((120, 160, 3), 0.05, np.float32)
     light[:, 80:] = 0.5
-    return Picture(light, np.full((120, 160), z_m), np.ones((120, 160)))
+    return IdealImage(light, np.full((120, 160), z_m), np.ones((120, 160)))
 
 
 def edge_width(image: np.ndarray) -> float:
@@ -221,7 +221,7 @@ def test_blur_grows_away_from_focus_and_exposure_is_automatic():
 
 def test_less_light_is_more_noise():
     optics = Optics(1.8, 0.0, 0.0)
-    flat = Picture(np.full((120, 160, 3), 0.2, np.float32), np.full((120, 160), 1.8), np.ones((120, 160)))
+    flat = IdealImage(np.full((120, 160, 3), 0.2, np.float32), np.full((120, 160), 1.8), np.ones((120, 160)))
     noise = ColorNoise(blur_px=0.0, vignette=0.0)
     bright, dark = (
         develop(flat, noise, np.random.default_rng(0), optics, np.full((120, 160), level)).std()
@@ -234,7 +234,7 @@ def test_fringes_move_red_and_blue_apart_along_the_radius():
     light = np.full((120, 160, 3), 0.05, np.float32)
     light[:, 140:] = 0.5
     image = develop(
-        Picture(light, np.full((120, 160), 2.0), np.ones((120, 160))),
+        IdealImage(light, np.full((120, 160), 2.0), np.ones((120, 160))),
         ColorNoise(blur_px=0.0, sigma_grey=0.0, vignette=0.0, fringe_px=2.0),
         np.random.default_rng(0),
     )

@@ -12,11 +12,11 @@ from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import read_boards, read_rig
 from rgbd_calib.io.tables import read_table
 from rgbd_calib.pipeline.evaluate import evaluate_truth
-from rgbd_calib.simulation.carried import Carried, render_carried
+from rgbd_calib.simulation.carried import BoardExposure, render_carried
 from rgbd_calib.simulation.clocks import CameraClock, WaveParams, draw_clocks, expose
 from rgbd_calib.simulation.color_sensor import ColorNoise, develop
 from rgbd_calib.simulation.motion import hand_motion
-from rgbd_calib.simulation.render import Picture
+from rgbd_calib.simulation.render import IdealImage
 from rgbd_calib.simulation.rig import look_at
 from rgbd_calib.simulation.room import furnished_room
 from rgbd_calib.simulation.scene import Caster
@@ -106,10 +106,10 @@ def test_images_show_the_corners_of_their_rows(readout_s):
     T_room_color = look_at(np.array([0.0, -2.0, 1.5]), np.array([0.0, 0.0, 1.2]))
     motion = hand_motion([T_room_color], BOARD, 4.0, rng)
     clock = CameraClock(0.0, 1 / 30, 0.0, 0.0, 0.005, readout_s, 0.0)
-    room = Picture(np.full((480, 640, 3), 0.2, np.float32), np.full((480, 640), 9.0), np.ones((480, 640)))
+    room = IdealImage(np.full((480, 640, 3), 0.2, np.float32), np.full((480, 640), 9.0), np.ones((480, 640)))
     shift, still = [], []
     for t in (0.7, 1.9, 3.1):
-        carried = Carried(motion, np.eye(4), t, clock, 0.006)
+        carried = BoardExposure(motion, np.eye(4), t, clock, 0.006)
         picture = render_carried(carried, K, T_room_color, room, Caster(furnished_room()), BOARD, None, rng)
         gray = cv2.cvtColor(develop(picture, ColorNoise(sigma_grey=0.0, vignette=0.0), rng), cv2.COLOR_BGR2GRAY)
         T = se3.inverse(T_room_color) @ carried.pose()

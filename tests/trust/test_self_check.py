@@ -22,7 +22,7 @@ from rgbd_calib.simulation.views import ViewNoise, true_views
 from rgbd_calib.trust.self_check import (
     ALONE,
     Equations,
-    Noise,
+    ResidualNoise,
     SelfCheckParams,
     check_clipped,
     check_copies,
@@ -362,10 +362,12 @@ def test_checks_without_equations():
     (found,) = check_dropped({"C1": 20}, {"C1": frames[12:]}, frames, PARAMS)
     assert "8 of C1's 20 views" in found.text
     assert "all between 012 and 019" in found.text
-    assert check_noise({"C1": Noise(0.2, 2e-3)}, PARAMS, 0.5) == []
-    levels = [f.level for f in check_noise({"C1": Noise(0.7, 7e-3), "C2": Noise(1.4, 2e-2)}, PARAMS, 0.5)]
+    assert check_noise({"C1": ResidualNoise(0.2, 2e-3)}, PARAMS, 0.5) == []
+    levels = [
+        f.level for f in check_noise({"C1": ResidualNoise(0.7, 7e-3), "C2": ResidualNoise(1.4, 2e-2)}, PARAMS, 0.5)
+    ]
     assert levels == ["caution", "caution", "distrust", "distrust"]
-    assert check_noise({"C1": Noise(None, None, 20.0, 0.0)}, PARAMS, 0.5)[0].check == "boards apart"
+    assert check_noise({"C1": ResidualNoise(None, None, 20.0, 0.0)}, PARAMS, 0.5)[0].check == "boards apart"
     still = [view(f"{k:03d}", shift=0.01 * k) for k in range(5)]
     moving = [view(f"{k:03d}", shift=20.0 * k) for k in range(5)]
     assert check_copies(moving, 0.1, PARAMS) == []

@@ -9,13 +9,13 @@ from __future__ import annotations
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.io.exports.common import Carried, Export, Options, bias_note, with_carried_lenses
+from rgbd_calib.io.exports.common import Export, FormatLens, Options, bias_note, with_carried_lenses
 from rgbd_calib.types import Rig
 
 LENSES = (
-    Carried("opencv", 4, "OPENCV"),
-    Carried("opencv", 8, "FULL_OPENCV"),
-    Carried("kannala_brandt", 4, "OPENCV_FISHEYE"),
+    FormatLens("opencv", 4, "OPENCV"),
+    FormatLens("opencv", 8, "FULL_OPENCV"),
+    FormatLens("kannala_brandt", 4, "OPENCV_FISHEYE"),
 )
 
 

@@ -64,7 +64,7 @@ def coefficients(lens: Intrinsics) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class Carried:
+class FormatLens:
     """A lens that a format has: the first `n` coefficients of a model."""
 
     model: LensName
@@ -77,7 +77,7 @@ class Carried:
         return lens.model == self.model and not any(lens.distortion[self.n :])
 
 
-def with_carried_lenses(rig: Rig, to: str, carried: Sequence[Carried], max_px: float) -> tuple[Rig, tuple[str, ...]]:
+def with_carried_lenses(rig: Rig, to: str, carried: Sequence[FormatLens], max_px: float) -> tuple[Rig, tuple[str, ...]]:
     """The rig with lenses that the format has, and a note for each that was fitted: refitted over its image.
 
     Raises

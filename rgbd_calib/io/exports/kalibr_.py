@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.io.exports.common import Carried, Export, Options, bias_note, with_carried_lenses
+from rgbd_calib.io.exports.common import Export, FormatLens, Options, bias_note, with_carried_lenses
 from rgbd_calib.io.files import dump_yaml
 from rgbd_calib.types import Rig
 
-LENSES = (Carried("opencv", 4, "radtan"), Carried("kannala_brandt", 4, "equidistant"))
+LENSES = (FormatLens("opencv", 4, "radtan"), FormatLens("kannala_brandt", 4, "equidistant"))
 
 
 def export(rig: Rig, options: Options) -> Export:

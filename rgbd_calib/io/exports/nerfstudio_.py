@@ -9,13 +9,21 @@ from __future__ import annotations
 import numpy as np
 
 from rgbd_calib.errors import ConfigError
-from rgbd_calib.io.exports.common import FISHEYE, Carried, Export, Options, bias_note, coefficients, with_carried_lenses
+from rgbd_calib.io.exports.common import (
+    FISHEYE,
+    Export,
+    FormatLens,
+    Options,
+    bias_note,
+    coefficients,
+    with_carried_lenses,
+)
 from rgbd_calib.io.plain import to_json
 from rgbd_calib.types import Rig
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """T_color_opengl: the same camera with y up and z back."""
-LENSES = (Carried("opencv", 5, "OPENCV"), Carried("kannala_brandt", 4, "OPENCV_FISHEYE"))
+LENSES = (FormatLens("opencv", 5, "OPENCV"), FormatLens("kannala_brandt", 4, "OPENCV_FISHEYE"))
 
 
 def export(rig: Rig, options: Options) -> Export:

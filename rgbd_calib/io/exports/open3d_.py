@@ -6,14 +6,14 @@ Open3D's pixel (0, 0) is the centre of the top left pixel, as here. Matrices are
 from __future__ import annotations
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.io.exports.common import Carried, Export, Options, bias_note, with_carried_lenses
+from rgbd_calib.io.exports.common import Export, FormatLens, Options, bias_note, with_carried_lenses
 from rgbd_calib.io.plain import to_json
 from rgbd_calib.types import Rig
 
 
 def export(rig: Rig, options: Options) -> Export:
     """One JSON file; raises ConfigError where a camera is no pinhole."""
-    rig, refitted = with_carried_lenses(rig, "Open3D", (Carried("opencv", 0, "a pinhole"),), options.max_px)
+    rig, refitted = with_carried_lenses(rig, "Open3D", (FormatLens("opencv", 0, "a pinhole"),), options.max_px)
     parameters = [
         {
             "class_name": "PinholeCameraParameters",

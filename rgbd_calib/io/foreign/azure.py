@@ -14,7 +14,7 @@ import numpy as np
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.calibrations.azure_ import read_device
-from rgbd_calib.io.foreign.source import Encoded, Kind, Picture, Source, SourceCamera, Stamps, Wanted
+from rgbd_calib.io.foreign.source import Encoded, Kind, Source, SourceCamera, SourceImage, Stamps, Wanted
 from rgbd_calib.io.foreign.video_file import open_video, video_faults
 from rgbd_calib.io.schema_base import MAX_SIDE
 
@@ -75,13 +75,13 @@ class AzureMkv(Source):
                 self._stamps[kind].append(time_us)
         return {self._camera: self._stamps}
 
-    def pictures(self, wanted: Wanted) -> Iterator[Picture]:
+    def pictures(self, wanted: Wanted) -> Iterator[SourceImage]:
         counts: dict[Kind, int] = dict.fromkeys(self._tracks.values(), 0)
         for kind, _, data in self._packets():
             index = counts[kind]
             counts[kind] += 1
             if wanted(self._camera, kind, index):
-                yield Picture(self._camera, kind, index, self._decode(kind, data, index))
+                yield SourceImage(self._camera, kind, index, self._decode(kind, data, index))
 
     def _packets(self) -> Iterator[tuple[Kind, int, bytes]]:
         """(kind, device time in us, bytes) of every frame."""

@@ -15,7 +15,7 @@ from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.calibrations.common import MAX_BYTES, lens_of_matrix, numbers
 from rgbd_calib.io.foreign.folder import PictureFolder
-from rgbd_calib.io.foreign.source import Picture, Source, SourceCamera, Stems, Wanted
+from rgbd_calib.io.foreign.source import Source, SourceCamera, SourceImage, Stems, Wanted
 from rgbd_calib.io.reading import read_bytes
 
 
@@ -48,7 +48,7 @@ class BopScene(Source):
     def stems(self) -> Mapping[str, Stems]:
         return self._folder.stems()
 
-    def pictures(self, wanted: Wanted) -> Iterator[Picture]:
+    def pictures(self, wanted: Wanted) -> Iterator[SourceImage]:
         return self._folder.pictures(wanted)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.calibrations import read_calibration
 from rgbd_calib.io.calibrations.common import load_document
-from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stamps, Wanted
+from rgbd_calib.io.foreign.source import Kind, Source, SourceCamera, SourceImage, Stamps, Wanted
 from rgbd_calib.io.foreign.videos import Video
 from rgbd_calib.io.layout import others
 from rgbd_calib.io.schema_parts import BoardModel
@@ -65,12 +65,12 @@ class CaliscopeSession(Source):
     def stamps(self) -> Mapping[str, Stamps]:
         return {c: {"color": self._times[int(c.rpartition("_")[2])]} for c in self.cameras}
 
-    def pictures(self, wanted: Wanted) -> Iterator[Picture]:
+    def pictures(self, wanted: Wanted) -> Iterator[SourceImage]:
         kind: Kind = "color"
         for camera, video in self._videos.items():
             for index, pixels in enumerate(video.images()):
                 if wanted(camera, kind, index):
-                    yield Picture(camera, kind, index, pixels())
+                    yield SourceImage(camera, kind, index, pixels())
 
 
 def _folder(path: Path) -> Path | None:

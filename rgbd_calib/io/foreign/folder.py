@@ -14,7 +14,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.calibrations import FoundCamera, read_calibration
 from rgbd_calib.io.folder_guess import Guess, guess_layout, names_coincide
 from rgbd_calib.io.foreign.pictures import SUFFIXES, read_picture, sniff_picture
-from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stamps, Stems, Wanted
+from rgbd_calib.io.foreign.source import Kind, Source, SourceCamera, SourceImage, Stamps, Stems, Wanted
 from rgbd_calib.io.frame_names import times_us
 from rgbd_calib.io.images import DEPTH_SUFFIXES as DEPTH_IMAGES
 from rgbd_calib.io.images import SUFFIXES as IMAGES
@@ -78,12 +78,12 @@ class PictureFolder(Source):
             out[camera] = known
         return out
 
-    def pictures(self, wanted: Wanted) -> Iterator[Picture]:
+    def pictures(self, wanted: Wanted) -> Iterator[SourceImage]:
         for kind, of_kind in self._guess.streams.items():
             for own, stream in of_kind.items():
                 for index, file in enumerate(stream.files.values()):
                     if wanted(self._names[own], kind, index):
-                        yield Picture(self._names[own], kind, index, read_picture(self._path / file, kind))
+                        yield SourceImage(self._names[own], kind, index, read_picture(self._path / file, kind))
 
     def _camera(self, name: str, remarks: list[str]) -> SourceCamera:
         color = self._guess.streams["color"][name].sniffed

@@ -18,7 +18,7 @@ import numpy as np
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.calibrations import FoundCamera, read_calibration
 from rgbd_calib.io.foreign.pictures import read_picture
-from rgbd_calib.io.foreign.source import Encoded, Kind, Picture, Source, SourceCamera, Stems, Wanted
+from rgbd_calib.io.foreign.source import Encoded, Kind, Source, SourceCamera, SourceImage, Stems, Wanted
 from rgbd_calib.io.images import read_image
 from rgbd_calib.io.layout import others
 from rgbd_calib.io.reading import read_bytes
@@ -96,11 +96,11 @@ class IaiFolder(Source):
     def stems(self) -> Mapping[str, Stems]:
         return {self._camera: {kind: list(files) for kind, files in self._files.items() if files}}
 
-    def pictures(self, wanted: Wanted) -> Iterator[Picture]:
+    def pictures(self, wanted: Wanted) -> Iterator[SourceImage]:
         for kind, files in self._files.items():
             for index, path in enumerate(files.values()):
                 if wanted(self._camera, kind, index):
-                    yield Picture(self._camera, kind, index, read_picture(path, kind))
+                    yield SourceImage(self._camera, kind, index, read_picture(path, kind))
 
 
 class FreenectDump(Source):
@@ -140,11 +140,11 @@ class FreenectDump(Source):
     def stems(self) -> Mapping[str, Stems]:
         return {self._camera: {kind: list(files) for kind, files in self._files.items()}}
 
-    def pictures(self, wanted: Wanted) -> Iterator[Picture]:
+    def pictures(self, wanted: Wanted) -> Iterator[SourceImage]:
         for kind, files in self._files.items():
             for index, path in enumerate(files.values()):
                 if wanted(self._camera, kind, index):
-                    yield Picture(self._camera, kind, index, _dump(path, kind))
+                    yield SourceImage(self._camera, kind, index, _dump(path, kind))
 
 
 def _calibration(path: Path) -> FoundCamera:

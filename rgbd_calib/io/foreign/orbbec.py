@@ -20,7 +20,7 @@ from rgbd_calib.io.calibrations.common import numbers, rigid
 from rgbd_calib.io.calibrations.makers_lens import ORBBEC, lens_of_maker
 from rgbd_calib.io.foreign.bag import Bag, bag_faults, open_bag, stamp_us
 from rgbd_calib.io.foreign.ros_images import picture_of
-from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stamps, Wanted
+from rgbd_calib.io.foreign.source import Kind, Source, SourceCamera, SourceImage, Stamps, Wanted
 
 _FRAME = re.compile(r"/cam/sensor_(\d+)/frameType_(\d+)")
 _KINDS: dict[str, Kind] = {"2": "color", "3": "depth", "1": "ir", "6": "ir"}
@@ -67,7 +67,7 @@ class OrbbecBag(Source):
             self._stamps = dict(found)
         return {self._camera: self._stamps}
 
-    def pictures(self, wanted: Wanted) -> Iterator[Picture]:
+    def pictures(self, wanted: Wanted) -> Iterator[SourceImage]:
         counts: dict[Kind, int] = defaultdict(int)
         with open_bag(self._path) as bag:
             for topic, _, read in bag.messages(self._streams.__contains__):
@@ -77,7 +77,7 @@ class OrbbecBag(Source):
                 if wanted(self._camera, kind, index):
                     message = read()
                     with bag_faults(f"{self.name}: {topic}"):
-                        yield Picture(self._camera, kind, index, picture_of(message, kind, f"{self.name}: {topic}"))
+                        yield SourceImage(self._camera, kind, index, picture_of(message, kind, f"{self.name}: {topic}"))
 
     def _read_camera(self, bag: Bag, remarks: list[str]) -> SourceCamera:
         profiles = {kind: self._profile(bag, number) for kind, number in _PROFILES.items()}

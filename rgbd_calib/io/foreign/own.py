@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from rgbd_calib.io.foreign.pictures import read_picture
-from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stamps, Stems, Wanted
+from rgbd_calib.io.foreign.source import Kind, Source, SourceCamera, SourceImage, Stamps, Stems, Wanted
 from rgbd_calib.io.layout import KINDS
 from rgbd_calib.io.recording import CameraInfo, open_recording
 
@@ -37,12 +37,12 @@ class OwnRecording(Source):
             for c in self.cameras
         }
 
-    def pictures(self, wanted: Wanted) -> Iterator[Picture]:
+    def pictures(self, wanted: Wanted) -> Iterator[SourceImage]:
         for kind, files in zip(KINDS, self._listed, strict=True):
             for camera, of_camera in files.items():
                 for index, path in enumerate(of_camera.values()):
                     if wanted(camera, kind, index):
-                        yield Picture(camera, kind, index, read_picture(path, kind))
+                        yield SourceImage(camera, kind, index, read_picture(path, kind))
 
     def _stamps_of(self, camera: str) -> dict[Kind, list[int]]:
         times = self._recording.timestamps_us(camera)

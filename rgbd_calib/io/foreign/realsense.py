@@ -23,7 +23,7 @@ from rgbd_calib.io.calibrations.common import numbers, rigid
 from rgbd_calib.io.calibrations.makers_lens import lens_of_maker
 from rgbd_calib.io.foreign.bag import Bag, bag_faults, matrices, motion, open_bag, stamp_us
 from rgbd_calib.io.foreign.ros_images import picture_of
-from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stamps, Wanted
+from rgbd_calib.io.foreign.source import Kind, Source, SourceCamera, SourceImage, Stamps, Wanted
 
 _IMAGE = re.compile(r"/(device_\d+)/(sensor_\d+)/(\w+?)_(\d+)/image/data(/compressed(?:Depth)?)?")
 _KINDS: dict[str, Kind] = {"color": "color", "depth": "depth", "infrared": "ir", "infrared1": "ir"}
@@ -108,7 +108,7 @@ class RealSenseBag(Source):
         times = host if not one and hosted else device
         return {kind: [round(v or 0) for v in times.get(topic, [])] for kind, topic in topics.items()}
 
-    def pictures(self, wanted: Wanted) -> Iterator[Picture]:
+    def pictures(self, wanted: Wanted) -> Iterator[SourceImage]:
         counts: dict[str, int] = defaultdict(int)
         with open_bag(self._path) as bag:
             for topic, _, read in bag.messages(self._streams.__contains__):
@@ -118,7 +118,7 @@ class RealSenseBag(Source):
                 if wanted(camera, kind, index):
                     message = read()
                     with bag_faults(f"{self.name}: {topic}"):
-                        yield Picture(camera, kind, index, picture_of(message, kind, f"{self.name}: {topic}"))
+                        yield SourceImage(camera, kind, index, picture_of(message, kind, f"{self.name}: {topic}"))
 
     def _camera(self, bag: Bag, device: str, camera: str, remarks: list[str]) -> SourceCamera:
         topics = {kind: topic for topic, (name, kind) in self._streams.items() if name == camera}

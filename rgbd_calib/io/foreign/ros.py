@@ -21,7 +21,7 @@ from rgbd_calib.io.calibrations.ros_ import lens_of_info
 from rgbd_calib.io.foreign.bag import COMPRESSED, IMAGE, INFO, Bag, bag_faults, matrices, motion, open_bag, stamp_us
 from rgbd_calib.io.foreign.ros_images import picture_of
 from rgbd_calib.io.foreign.ros_topics import CameraTopics, find_topics
-from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stamps, Wanted
+from rgbd_calib.io.foreign.source import Kind, Source, SourceCamera, SourceImage, Stamps, Wanted
 
 DEPTH_SCALE = 0.001
 _MAX_FRAMES = 1000
@@ -64,7 +64,7 @@ class RosBag(Source):
             self._stamps = found
         return self._stamps
 
-    def pictures(self, wanted: Wanted) -> Iterator[Picture]:
+    def pictures(self, wanted: Wanted) -> Iterator[SourceImage]:
         counts: dict[tuple[str, Kind], int] = defaultdict(int)
         with open_bag(self._path) as bag:
             for topic, _, read in bag.messages(self._streams.__contains__):
@@ -75,7 +75,7 @@ class RosBag(Source):
                     where = f"{self.name}: {topic}"
                     message = read()
                     with bag_faults(where):
-                        yield Picture(camera, kind, index, picture_of(message, kind, where))
+                        yield SourceImage(camera, kind, index, picture_of(message, kind, where))
 
     def _check(self, types: Mapping[str, str]) -> None:
         for camera, own in self._topics.items():

@@ -31,7 +31,7 @@ class Encoded:
 
 
 @dataclass(frozen=True)
-class Picture:
+class SourceImage:
     """Picture number `index` of one stream."""
 
     camera: str
@@ -85,5 +85,5 @@ class Source(ABC):
         return None
 
     @abstractmethod
-    def pictures(self, wanted: Wanted) -> Iterator[Picture]:
+    def pictures(self, wanted: Wanted) -> Iterator[SourceImage]:
         """The wanted pictures, each stream in the order of its stamps; one at a time is in memory."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.foreign.pictures import read_picture
-from rgbd_calib.io.foreign.source import Encoded, Kind, Picture, Source, SourceCamera, Stamps, Wanted
+from rgbd_calib.io.foreign.source import Encoded, Kind, Source, SourceCamera, SourceImage, Stamps, Wanted
 from rgbd_calib.io.layout import others
 from rgbd_calib.io.reading import read_bytes
 from rgbd_calib.io.tables import short
@@ -55,11 +55,11 @@ class TumFolder(Source):
     def stamps(self) -> Mapping[str, Stamps]:
         return {self._camera: {kind: [t for t, _ in entries] for kind, entries in self._lists.items()}}
 
-    def pictures(self, wanted: Wanted) -> Iterator[Picture]:
+    def pictures(self, wanted: Wanted) -> Iterator[SourceImage]:
         entries = [(t, kind, i, f) for kind, listed in self._lists.items() for i, (t, f) in enumerate(listed)]
         for _, kind, index, file in sorted(entries):
             if wanted(self._camera, kind, index):
-                yield Picture(self._camera, kind, index, _read_image(self._path / file, kind))
+                yield SourceImage(self._camera, kind, index, _read_image(self._path / file, kind))
 
 
 def _associations(path: Path) -> Path | None:

@@ -17,7 +17,7 @@ from rgbd_calib.io.camera_names import TOKENS, name_cameras
 from rgbd_calib.io.folder_guess import Stream, find_streams, kind_of
 from rgbd_calib.io.foreign.pictures import SUFFIXES as PICTURE_SUFFIXES
 from rgbd_calib.io.foreign.pictures import read_picture, sniff_picture
-from rgbd_calib.io.foreign.source import Kind, Picture, Source, SourceCamera, Stems, Wanted
+from rgbd_calib.io.foreign.source import Kind, Source, SourceCamera, SourceImage, Stems, Wanted
 from rgbd_calib.io.foreign.video_file import open_video, video_faults
 from rgbd_calib.io.images import DEPTH_SUFFIXES
 from rgbd_calib.io.images import SUFFIXES as IMAGE_SUFFIXES
@@ -108,17 +108,17 @@ class Videos(Source):
                 out[name][kind] = numbers_of_frames(list(stream.files), self._videos["color"][name].frames)
         return out
 
-    def pictures(self, wanted: Wanted) -> Iterator[Picture]:
+    def pictures(self, wanted: Wanted) -> Iterator[SourceImage]:
         for kind, of_kind in self._videos.items():
             for name, video in of_kind.items():
                 for index, pixels in enumerate(video.images()):
                     if wanted(name, kind, index):
-                        yield Picture(name, kind, index, pixels())
+                        yield SourceImage(name, kind, index, pixels())
         for kind, images in self._images.items():
             for name, stream in images.items():
                 for index, file in enumerate(stream.files.values()):
                     if wanted(name, kind, index):
-                        yield Picture(name, kind, index, read_picture(self._root / file, kind))
+                        yield SourceImage(name, kind, index, read_picture(self._root / file, kind))
 
 
 class Video:

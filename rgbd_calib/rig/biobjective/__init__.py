@@ -32,6 +32,14 @@ Afzal, Aouada, Antunes, Fofi, Mirbach, Ottersten: Bi-objective framework for sen
 
 from rgbd_calib.rig.biobjective.clouds import CloudParams, CloudResult, refine_clouds
 from rgbd_calib.rig.biobjective.estimate import refine
-from rgbd_calib.rig.biobjective.params import RefinementParams, RefinementResult, Round
+from rgbd_calib.rig.biobjective.params import RefinementParams, RefinementResult, RefinementRound
 
-__all__ = ["CloudParams", "CloudResult", "RefinementParams", "RefinementResult", "Round", "refine", "refine_clouds"]
+__all__ = [
+    "CloudParams",
+    "CloudResult",
+    "RefinementParams",
+    "RefinementResult",
+    "RefinementRound",
+    "refine",
+    "refine_clouds",
+]

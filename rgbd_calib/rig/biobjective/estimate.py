@@ -10,10 +10,10 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.biobjective import checks, results, solver, statistics
 from rgbd_calib.rig.biobjective import problem as problems
 from rgbd_calib.rig.biobjective.moments import MomentTerm
-from rgbd_calib.rig.biobjective.params import RefinementParams, RefinementResult, Round
-from rgbd_calib.rig.biobjective.problem import Problem
+from rgbd_calib.rig.biobjective.params import RefinementParams, RefinementResult, RefinementRound
+from rgbd_calib.rig.biobjective.problem import RefinementProblem
 from rgbd_calib.rig.biobjective.results import Fit, pair
-from rgbd_calib.rig.biobjective.solver import Minimum, Term
+from rgbd_calib.rig.biobjective.solver import RefinementMinimum, Term
 from rgbd_calib.rig.biobjective.terms import PointTerm
 from rgbd_calib.types import Correspondences
 
@@ -47,7 +47,9 @@ def refine(
     return results.assemble(fit, sigmas, history, settled, correspondences, params)
 
 
-def alternate(problem: Problem, params: RefinementParams) -> tuple[Fit, list[FloatArray], tuple[Round, ...], bool]:
+def alternate(
+    problem: RefinementProblem, params: RefinementParams
+) -> tuple[Fit, list[FloatArray], tuple[RefinementRound, ...], bool]:
     """Rounds of poses for given sigmas and sigmas for given poses, until the sigmas settle.
 
     Returns the last fit, the sigmas after it, the rounds, and whether they settled.
@@ -58,7 +60,7 @@ def alternate(problem: Problem, params: RefinementParams) -> tuple[Fit, list[Flo
         np.full(len(problem.cameras), _start_sigma(problem, i, params) if value is None else value)
         for i, value in enumerate(given)
     ]
-    history: list[Round] = []
+    history: list[RefinementRound] = []
     state = problem.start
     while len(history) < params.max_rounds:
         weights = _baicp_weights(problem, params) if params.method == "baicp+" else sigmas
@@ -76,11 +78,11 @@ def alternate(problem: Problem, params: RefinementParams) -> tuple[Fit, list[Flo
     return fit, sigmas, tuple(history), False
 
 
-def _start_sigma(problem: Problem, i: int, params: RefinementParams) -> float:
+def _start_sigma(problem: RefinementProblem, i: int, params: RefinementParams) -> float:
     """From the residuals at the start: eq. 3.04 and 3.05, or with the redundancy that the points leave."""
     term = problem.terms[i]
     term.set_sigmas(np.ones(len(problem.cameras)))
-    solver.evaluate([term], solver.State(problem.start.T, (problem.start.points[i],)))
+    solver.evaluate([term], solver.RefinementState(problem.start.T, (problem.start.points[i],)))
     if params.noise_estimator == "paper":
         variance = _printed_variance(term)
     elif isinstance(term, MomentTerm):
@@ -93,7 +95,7 @@ def _start_sigma(problem: Problem, i: int, params: RefinementParams) -> float:
     return max(float(np.sqrt(max(variance, 0.0))), _LEAST_SIGMAS[problem.kind(term)])
 
 
-def _baicp_weights(problem: Problem, params: RefinementParams) -> list[FloatArray]:
+def _baicp_weights(problem: RefinementProblem, params: RefinementParams) -> list[FloatArray]:
     """Sigmas that make the cost eq. 12.1: 1 / (2 sigma_3D^2) = (1 - c) / a and 1 / sigma_2D^2 = s c / b."""
     assert problem.pixels is not None and problem.xyz is not None  # baicp+ always has both
     T, X = problem.start.T, problem.start.points[0]
@@ -132,7 +134,11 @@ def _printed_variance(term: Term) -> float:
 
 
 def _assess(
-    problem: Problem, minimum: Minimum, weights: list[FloatArray], params: RefinementParams, estimated: np.ndarray
+    problem: RefinementProblem,
+    minimum: RefinementMinimum,
+    weights: list[FloatArray],
+    params: RefinementParams,
+    estimated: np.ndarray,
 ) -> Fit:
     shares = [statistics.share(term) for term in problem.terms]
     gauge = solver.gauge_direction(minimum.state.T) if params.method == "ba" else None
@@ -159,7 +165,9 @@ def _update(fit: Fit, sigmas: list[FloatArray], estimated: np.ndarray, params: R
     ]
 
 
-def _round(problem: Problem, weights: list[FloatArray], sigmas: list[FloatArray], minimum: Minimum) -> Round:
+def _round(
+    problem: RefinementProblem, weights: list[FloatArray], sigmas: list[FloatArray], minimum: RefinementMinimum
+) -> RefinementRound:
     px, m = pair(problem, sigmas)
     used_px, used_m = pair(problem, weights)
-    return Round(2 * used_m**2 / used_px**2, px, m, minimum.cost, minimum.iterations)
+    return RefinementRound(2 * used_m**2 / used_px**2, px, m, minimum.cost, minimum.iterations)

@@ -22,7 +22,7 @@ MAX_BLOCK_OBSERVATIONS = 8192
 
 
 @dataclass(frozen=True)
-class Block:
+class PointGroup:
     """n points seen by k cameras."""
 
     cameras: IntArray
@@ -48,7 +48,7 @@ class Block:
 class Grouping:
     """Blocks, and what was left out of them."""
 
-    blocks: tuple[Block, ...]
+    blocks: tuple[PointGroup, ...]
     labels: IntArray
     """(h,), the label of each renumbered point."""
     n_observations: int
@@ -87,7 +87,7 @@ def by_visibility(camera: IntArray, point: IntArray, n_cameras: int) -> Grouping
             table[np.searchsorted(cameras, camera[own]), new[point[own]] - first] = own
             seen = table >= 0
             blocks.append(
-                Block(cameras, slice(int(first), int(last)), np.maximum(table, 0), None if seen.all() else seen)
+                PointGroup(cameras, slice(int(first), int(last)), np.maximum(table, 0), None if seen.all() else seen)
             )
     return Grouping(tuple(blocks), labels, len(rows), np.flatnonzero(~shared))
 

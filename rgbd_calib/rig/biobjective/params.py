@@ -66,7 +66,7 @@ class RefinementParams:
 
 
 @dataclass(frozen=True)
-class Round:
+class RefinementRound:
     """One round of the alternation: the weight it used, and the sigmas that its residuals then gave."""
 
     w: float
@@ -108,7 +108,7 @@ class RefinementResult:
     variance_factor_2d: float
     """Mean square of the residuals over what `sigma_2d_px` predicts: 1 within sqrt(2 / redundancy) if all is well."""
     variance_factor_3d: float
-    history: tuple[Round, ...]
+    history: tuple[RefinementRound, ...]
     cost: float
     """V_BA / sigma_2D^2 + the 3D term over its sigma^2 (eq. 4.4), or the robust loss's sum."""
     iterations: int

@@ -14,19 +14,19 @@ from rgbd_calib.rig.biobjective.groups import Grouping
 from rgbd_calib.rig.biobjective.loss import Loss
 from rgbd_calib.rig.biobjective.moments import MomentTerm
 from rgbd_calib.rig.biobjective.params import RefinementParams
-from rgbd_calib.rig.biobjective.solver import State, Term
+from rgbd_calib.rig.biobjective.solver import RefinementState, Term
 from rgbd_calib.rig.biobjective.terms import MeasuredPointTerm, PixelTerm
 from rgbd_calib.types import Correspondences, IntArray
 
 
 @dataclass(frozen=True)
-class Problem:
+class RefinementProblem:
     """Cameras in the solver's order (the reference first), terms and their start."""
 
     cameras: tuple[str, ...]
     pixels: PixelTerm | None
     xyz: MomentTerm | MeasuredPointTerm | None
-    start: State
+    start: RefinementState
     pixel_rows: IntArray
     """Rows of the table of pixels that the term was given."""
     dropped: dict[str, int]
@@ -48,7 +48,7 @@ def build(
     T_world_color: dict[str, FloatArray],
     reference: str,
     params: RefinementParams,
-) -> Problem:
+) -> RefinementProblem:
     """Terms and start of checked data; raises CalibrationError where the data cannot carry them."""
     cameras = (reference, *(c for c in data.cameras if c != reference))
     number = np.array([cameras.index(c) for c in data.cameras])
@@ -63,7 +63,9 @@ def build(
     if params.method != "ba":
         xyz, X = _xyz_term(data, number, T, params, dropped)
         points.append(X)
-    problem = Problem(cameras, pixels, xyz, State(T, tuple(points)), rows, dropped, _mean_focal(models))
+    problem = RefinementProblem(
+        cameras, pixels, xyz, RefinementState(T, tuple(points)), rows, dropped, _mean_focal(models)
+    )
     _check(problem, data, params)
     return problem
 
@@ -119,7 +121,7 @@ def _xyz_term(
     return term, start.mean_points(grouping, data.xyz_m, T)
 
 
-def _check(problem: Problem, data: Correspondences, params: RefinementParams) -> None:
+def _check(problem: RefinementProblem, data: Correspondences, params: RefinementParams) -> None:
     pixels = None if problem.pixels is None else problem.pixels.grouping
     xyz = None if problem.xyz is None else problem.xyz.grouping
     checks.structure(problem.cameras, pixels, xyz)
@@ -134,7 +136,9 @@ def _check(problem: Problem, data: Correspondences, params: RefinementParams) ->
         )
 
 
-def point_sets(problem: Problem, state: State, data: Correspondences) -> list[tuple[Grouping, FloatArray]]:
+def point_sets(
+    problem: RefinementProblem, state: RefinementState, data: Correspondences
+) -> list[tuple[Grouping, FloatArray]]:
     """Groupings and their points (3, h) in the world, of the pixels and of the 3D measurements, where there are any."""
     sets = []
     if problem.pixels is not None:

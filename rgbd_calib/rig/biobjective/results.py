@@ -10,9 +10,9 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.biobjective import checks, problem, start, statistics
 from rgbd_calib.rig.biobjective.groups import Grouping
 from rgbd_calib.rig.biobjective.moments import MomentTerm
-from rgbd_calib.rig.biobjective.params import RefinementParams, RefinementResult, Round
-from rgbd_calib.rig.biobjective.problem import Problem
-from rgbd_calib.rig.biobjective.solver import Minimum
+from rgbd_calib.rig.biobjective.params import RefinementParams, RefinementResult, RefinementRound
+from rgbd_calib.rig.biobjective.problem import RefinementProblem
+from rgbd_calib.rig.biobjective.solver import RefinementMinimum
 from rgbd_calib.rig.biobjective.statistics import Share
 from rgbd_calib.rig.biobjective.terms import MeasuredPointTerm
 from rgbd_calib.types import Correspondences, IntArray
@@ -22,8 +22,8 @@ from rgbd_calib.types import Correspondences, IntArray
 class Fit:
     """A round: the minimum, the sigmas (term by term, (N,)) that its weights used, and its statistics."""
 
-    problem: Problem
-    minimum: Minimum
+    problem: RefinementProblem
+    minimum: RefinementMinimum
     weights: list[FloatArray]
     shares: list[Share]
     C: FloatArray
@@ -31,13 +31,13 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class _Table:
+class _ResidualTable:
     residuals: FloatArray
     weights: FloatArray
     points_m: FloatArray
 
 
-def pair(problem: Problem, sigmas: list[FloatArray]) -> tuple[float, float]:
+def pair(problem: RefinementProblem, sigmas: list[FloatArray]) -> tuple[float, float]:
     """Root mean square over the cameras of sigma_2D and sigma_3D; NaN for a term that takes no part."""
     out = [float("nan"), float("nan")]
     for term, sigma in zip(problem.terms, sigmas, strict=True):
@@ -48,7 +48,7 @@ def pair(problem: Problem, sigmas: list[FloatArray]) -> tuple[float, float]:
 def assemble(
     fit: Fit,
     sigmas: list[FloatArray],
-    history: tuple[Round, ...],
+    history: tuple[RefinementRound, ...],
     settled: bool,
     data: Correspondences,
     params: RefinementParams,
@@ -148,9 +148,9 @@ def _sigma_covariance(fit: Fit, sigmas: list[FloatArray], params: RefinementPara
     return out
 
 
-def _pixel_table(fit: Fit, data: Correspondences) -> _Table:
+def _pixel_table(fit: Fit, data: Correspondences) -> _ResidualTable:
     n = len(data.pixels_px)
-    table = _Table(np.full((n, 2), np.nan), np.full(n, np.nan), np.full((len(data.labels), 3), np.nan))
+    table = _ResidualTable(np.full((n, 2), np.nan), np.full(n, np.nan), np.full((len(data.labels), 3), np.nan))
     term = fit.problem.pixels
     if term is not None:
         rows = fit.problem.pixel_rows
@@ -161,9 +161,9 @@ def _pixel_table(fit: Fit, data: Correspondences) -> _Table:
     return table
 
 
-def _xyz_table(fit: Fit, data: Correspondences) -> _Table:
+def _xyz_table(fit: Fit, data: Correspondences) -> _ResidualTable:
     n = len(data.xyz_m)
-    table = _Table(np.full((n, 3), np.nan), np.full(n, np.nan), np.full((len(data.labels), 3), np.nan))
+    table = _ResidualTable(np.full((n, 3), np.nan), np.full(n, np.nan), np.full((len(data.labels), 3), np.nan))
     term = fit.problem.xyz
     if term is None:
         return table
@@ -178,7 +178,9 @@ def _xyz_table(fit: Fit, data: Correspondences) -> _Table:
     return table
 
 
-def _fill_xyz(table: _Table, grouping: Grouping, xyz_m: FloatArray, X: FloatArray, T: FloatArray, ones: bool) -> None:
+def _fill_xyz(
+    table: _ResidualTable, grouping: Grouping, xyz_m: FloatArray, X: FloatArray, T: FloatArray, ones: bool
+) -> None:
     for block in grouping.blocks:
         for i, camera in enumerate(block.cameras):
             seen = slice(None) if block.seen is None else block.seen[i]

@@ -33,7 +33,7 @@ _MOST_DAMPING = 1e12
 
 
 @dataclass(frozen=True)
-class State:
+class RefinementState:
     """Poses (N, 4, 4), world from camera, and the latent points (3, h) of each term (an empty array where none)."""
 
     T: FloatArray
@@ -41,10 +41,10 @@ class State:
 
 
 @dataclass(frozen=True)
-class Minimum:
+class RefinementMinimum:
     """Where the solver stopped, and why."""
 
-    state: State
+    state: RefinementState
     cost: float
     iterations: int
     status: Status
@@ -58,7 +58,7 @@ class _Step:
     predicted: float
 
 
-def evaluate(terms: Sequence[Term], state: State) -> float:
+def evaluate(terms: Sequence[Term], state: RefinementState) -> float:
     """Cost at a state; leaves the terms ready for their normal equations there."""
     return sum(
         term.evaluate(state.T) if isinstance(term, MomentTerm) else term.evaluate(state.T, X)
@@ -66,7 +66,9 @@ def evaluate(terms: Sequence[Term], state: State) -> float:
     )
 
 
-def minimise(terms: Sequence[Term], start: State, free_scale: bool, tolerance: float, max_iterations: int) -> Minimum:
+def minimise(
+    terms: Sequence[Term], start: RefinementState, free_scale: bool, tolerance: float, max_iterations: int
+) -> RefinementMinimum:
     """Least cost from a start with finite cost; camera 0 stays where it is.
 
     Parameters
@@ -90,7 +92,7 @@ def minimise(terms: Sequence[Term], start: State, free_scale: bool, tolerance: f
                 left = step.predicted**2 / before if good and step.predicted < 0.1 * before else step.predicted
                 state, cost, before = trial, trial_cost, step.predicted
                 if small or left <= tolerance * cost or (good and decrease <= tolerance * cost):
-                    return Minimum(
+                    return RefinementMinimum(
                         state,
                         cost,
                         iteration,
@@ -101,12 +103,12 @@ def minimise(terms: Sequence[Term], start: State, free_scale: bool, tolerance: f
                 continue
             if small:
                 evaluate(terms, state)
-                return Minimum(state, cost, iteration, "converged", "no step lowers the cost beyond rounding")
+                return RefinementMinimum(state, cost, iteration, "converged", "no step lowers the cost beyond rounding")
         evaluate(terms, state)
         damping, growth = damping * growth * 5, growth * 2
         if damping > _MOST_DAMPING:
-            return Minimum(state, cost, iteration, "stalled", "no step lowers the cost, however short")
-    return Minimum(
+            return RefinementMinimum(state, cost, iteration, "stalled", "no step lowers the cost, however short")
+    return RefinementMinimum(
         state, cost, max_iterations, "iteration_limit", f"stopped after {max_iterations} iterations, still falling"
     )
 
@@ -118,7 +120,7 @@ def gauge_direction(T: FloatArray) -> FloatArray:
     return direction
 
 
-def _solve(terms: Sequence[Term], state: State, damping: float, free_scale: bool) -> _Step | None:
+def _solve(terms: Sequence[Term], state: RefinementState, damping: float, free_scale: bool) -> _Step | None:
     """Damped step from the terms' state; None where the matrix is not positive definite."""
     size = 6 * (len(state.T) - 1)
     S, g, U, gain = np.zeros((size, size)), np.zeros(size), np.zeros(size), 0.0
@@ -145,7 +147,7 @@ def _solve(terms: Sequence[Term], state: State, damping: float, free_scale: bool
     return _Step(xi, points, float(xi @ g) + gain)
 
 
-def _move(state: State, step: _Step, free_scale: bool) -> State:
+def _move(state: RefinementState, step: _Step, free_scale: bool) -> RefinementState:
     T = state.T.copy()
     T[1:] = se3.retract(state.T[1:], step.xi.reshape(-1, 6))
     points = tuple(X + dX for X, dX in zip(state.points, step.points, strict=True))
@@ -154,4 +156,4 @@ def _move(state: State, step: _Step, free_scale: bool) -> State:
         size_before, size = (np.linalg.norm(P[:, :3, 3] - origin) for P in (state.T, T))
         T[:, :3, 3] = origin + (T[:, :3, 3] - origin) * (size_before / size)
         points = tuple(origin[:, None] + (X - origin[:, None]) * (size_before / size) for X in points)
-    return State(T, points)
+    return RefinementState(T, points)

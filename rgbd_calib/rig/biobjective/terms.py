@@ -15,7 +15,7 @@ import numpy as np
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.biobjective import kernels
-from rgbd_calib.rig.biobjective.groups import Block, Grouping
+from rgbd_calib.rig.biobjective.groups import Grouping, PointGroup
 from rgbd_calib.rig.biobjective.loss import Loss
 
 _MIN_DEPTH_M = 1e-6
@@ -131,7 +131,7 @@ class PointTerm(ABC):
             weights[rows] = 1.0 if w is None else w[seen].ravel()
         return table, weights
 
-    def _weighted(self, i: int, block: Block) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _weighted(self, i: int, block: PointGroup) -> tuple[FloatArray, FloatArray, FloatArray]:
         """A and r times the root of the weights, and the weights (k, n), zero where nothing is seen."""
         A, r, weights = self._jacobian(i, block), self._residuals[i], self._weights[i]
         if block.seen is not None:
@@ -144,11 +144,11 @@ class PointTerm(ABC):
         return A, r * root, weights if block.seen is None else weights * block.seen
 
     @abstractmethod
-    def _residual(self, i: int, block: Block, T: FloatArray, X: FloatArray) -> FloatArray | None:
+    def _residual(self, i: int, block: PointGroup, T: FloatArray, X: FloatArray) -> FloatArray | None:
         """Whitened residuals (k, d, n); None where a point has none."""
 
     @abstractmethod
-    def _jacobian(self, i: int, block: Block) -> FloatArray:
+    def _jacobian(self, i: int, block: PointGroup) -> FloatArray:
         """A (k, 3, d, n) at the state of the last residuals."""
 
 
@@ -170,7 +170,7 @@ class PixelTerm(PointTerm):
             self._measured.append((block.gather(pixels_px) - centre) / focal)
         self._state: list[tuple[FloatArray, FloatArray]] = [(np.empty(0), np.empty(0))] * len(grouping.blocks)
 
-    def _block_lens(self, block: Block) -> FloatArray | None:
+    def _block_lens(self, block: PointGroup) -> FloatArray | None:
         return None if self._lens is None else np.ascontiguousarray(self._lens[block.cameras].T[:, :, None])
 
     def set_sigmas(self, sigmas: FloatArray) -> None:
@@ -179,7 +179,7 @@ class PixelTerm(PointTerm):
         whitened = (self._focal * self._inverse_sigma[:, None])[:, :, None]
         self._block_focal = [whitened[block.cameras] for block in self.grouping.blocks]
 
-    def _residual(self, i: int, block: Block, T: FloatArray, X: FloatArray) -> FloatArray | None:
+    def _residual(self, i: int, block: PointGroup, T: FloatArray, X: FloatArray) -> FloatArray | None:
         P = kernels.camera_points(T[:, :3, :3], T[:, :3, 3], X)
         z = P[:, 2]
         if block.seen is not None:
@@ -195,7 +195,7 @@ class PixelTerm(PointTerm):
         self._state[i] = (xy, z_inv)
         return r
 
-    def _jacobian(self, i: int, block: Block) -> FloatArray:
+    def _jacobian(self, i: int, block: PointGroup) -> FloatArray:
         xy, z_inv = self._state[i]
         R = self._T[block.cameras, :3, :3]
         return kernels.pixel_jacobian(R, xy, z_inv, self._block_focal[i], self._block_lens(block), self._memory)
@@ -221,12 +221,12 @@ class MeasuredPointTerm(PointTerm):
             W = block.gather(whitening)
             self._whitening.append(W.reshape(len(W), 3, 3, -1))
 
-    def _residual(self, i: int, block: Block, T: FloatArray, X: FloatArray) -> FloatArray | None:
+    def _residual(self, i: int, block: PointGroup, T: FloatArray, X: FloatArray) -> FloatArray | None:
         miss = self._measured[i] - kernels.camera_points(T[:, :3, :3], T[:, :3, 3], X)
         scale = self._inverse_sigma[block.cameras, None, None]
         return np.einsum("krcn,kcn->krn", self._whitening[i], miss) * scale
 
-    def _jacobian(self, i: int, block: Block) -> FloatArray:
+    def _jacobian(self, i: int, block: PointGroup) -> FloatArray:
         R = self._T[block.cameras, :3, :3] * self._inverse_sigma[block.cameras, None, None]
         A: FloatArray = np.ascontiguousarray(np.einsum("krdn,kcd->kcrn", self._whitening[i], R))
         return A

@@ -39,13 +39,6 @@ class Scope(Enum):
     CAMERA = "camera"
 
 
-class Source(Enum):
-    """Where the knowledge of a parameter before the recording comes from."""
-
-    MEASURED = "measured"
-    ASSUMED = "assumed"
-
-
 @dataclass(frozen=True)
 class Component:
     """Parameters whose prior has one size that is estimated with the rest: a variance component.

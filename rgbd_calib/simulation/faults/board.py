@@ -10,7 +10,7 @@ import numpy as np
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation.faults.common import Fault, Rng, change_views, named, second_camera
-from rgbd_calib.simulation.session import Scene, Session, film, reprinted
+from rgbd_calib.simulation.session import Session, TrueScene, film, reprinted
 from rgbd_calib.simulation.views import true_views
 from rgbd_calib.types import Board, BoardView
 
@@ -41,7 +41,7 @@ def _misshapen(board: Board, wrong: Literal["bow", "s", "stretch"], by: float) -
 
 
 def _square(factor: float, bias: bool) -> Fault:
-    def fault(scene: Scene, rng: Rng) -> Session:
+    def fault(scene: TrueScene, rng: Rng) -> Session:
         session = film(scene, rng, replace(scene.board, square_m=scene.board.square_m * factor))
         return session if bias else replace(session, walls=None)
 
@@ -57,22 +57,22 @@ named("square in cm")(_square(100.0, True))
 
 
 @named("print 1 % too wide")
-def _stretched(scene: Scene, rng: Rng) -> Session:
+def _stretched(scene: TrueScene, rng: Rng) -> Session:
     return film(replace(scene, board=_misshapen(scene.board, "stretch", 0.01)), rng, scene.board)
 
 
 @named("board bent by 3 mm")
-def _bent(scene: Scene, rng: Rng) -> Session:
+def _bent(scene: TrueScene, rng: Rng) -> Session:
     return film(replace(scene, board=_misshapen(scene.board, "bow", 0.003)), rng, scene.board)
 
 
 @named("board bent to an S by 3 mm")
-def _bent_s(scene: Scene, rng: Rng) -> Session:
+def _bent_s(scene: TrueScene, rng: Rng) -> Session:
     return film(replace(scene, board=_misshapen(scene.board, "s", 0.0015)), rng, scene.board)
 
 
 @named("board bends by 3 mm, another way each time")
-def _floppy(scene: Scene, rng: Rng) -> Session:
+def _floppy(scene: TrueScene, rng: Rng) -> Session:
     session = film(scene, rng)
     views: list[BoardView] = []
     for frame, T in scene.boards.items():
@@ -82,17 +82,17 @@ def _floppy(scene: Scene, rng: Rng) -> Session:
 
 
 @named("thickness stated 5 mm too small", ring=True)
-def _thin(scene: Scene, rng: Rng) -> Session:
+def _thin(scene: TrueScene, rng: Rng) -> Session:
     return film(scene, rng, replace(scene.board, thickness_m=scene.board.thickness_m - 0.005))
 
 
 @named("two_sided not stated", ring=True)
-def _one_sided(scene: Scene, rng: Rng) -> Session:
+def _one_sided(scene: TrueScene, rng: Rng) -> Session:
     return film(scene, rng, replace(scene.board, two_sided=False, thickness_m=0.0))
 
 
 @named("symmetric board, read from either end")
-def _symmetric(scene: Scene, rng: Rng) -> Session:
+def _symmetric(scene: TrueScene, rng: Rng) -> Session:
     board = replace(scene.board, cols=10, square_m=0.055, shape=None)
     session = film(reprinted(scene, board, rng), rng)
     views = tuple(_half_turned(v, board) if rng.random() < 0.4 else v for v in session.views)
@@ -100,7 +100,7 @@ def _symmetric(scene: Scene, rng: Rng) -> Session:
 
 
 @named("symmetric board, upside down in one camera always")
-def _upside_down(scene: Scene, rng: Rng) -> Session:
+def _upside_down(scene: TrueScene, rng: Rng) -> Session:
     board = replace(scene.board, cols=10, square_m=0.055, shape=None)
     session = film(reprinted(scene, board, rng), rng)
     return change_views(session, second_camera(scene), lambda v: _half_turned(v, board))
@@ -111,7 +111,7 @@ def _half_turned(view: BoardView, board: Board) -> BoardView:
 
 
 @named("a second board in view")
-def _two_boards(scene: Scene, rng: Rng) -> Session:
+def _two_boards(scene: TrueScene, rng: Rng) -> Session:
     camera, session = second_camera(scene), film(scene, rng)
     aside = se3.retract(np.eye(4), np.array([0.1, 0.2, 0.1, 0.5, 0.1, 0.3]))
     others = {f: T @ aside for f, T in scene.boards.items()}
@@ -120,7 +120,7 @@ def _two_boards(scene: Scene, rng: Rng) -> Session:
 
 
 @named("columns and rows exchanged", ring=True)
-def _exchanged(scene: Scene, rng: Rng) -> Session:
+def _exchanged(scene: TrueScene, rng: Rng) -> Session:
     board = replace(scene.board, cols=scene.board.rows, rows=scene.board.cols)
 
     def turned(view: BoardView) -> BoardView:
@@ -133,7 +133,7 @@ def _exchanged(scene: Scene, rng: Rng) -> Session:
 
 
 @named("one row too few stated")
-def _row_too_few(scene: Scene, rng: Rng) -> Session:
+def _row_too_few(scene: TrueScene, rng: Rng) -> Session:
     """The finder takes one board in eight for the smaller one (2 of 16 rendered images)."""
     board = replace(scene.board, rows=scene.board.rows - 1)
 

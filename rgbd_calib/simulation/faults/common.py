@@ -11,12 +11,12 @@ from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.depth_error import GridField
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.simulation.session import Scene, Session, film
+from rgbd_calib.simulation.session import Session, TrueScene, film
 from rgbd_calib.simulation.views import true_views
 from rgbd_calib.types import BoardView, Rig
 
 Rng = np.random.Generator
-Fault = Callable[[Scene, Rng], Session]
+Fault = Callable[[TrueScene, Rng], Session]
 
 FAULTS: dict[str, Fault] = {}
 RINGS: set[str] = set()
@@ -33,7 +33,7 @@ def named(name: str, ring: bool = False) -> Callable[[Fault], Fault]:
     return add
 
 
-def second_camera(scene: Scene) -> str:
+def second_camera(scene: TrueScene) -> str:
     """The camera that is spoiled: not the reference."""
     return list(scene.rig.cameras)[1]
 
@@ -90,7 +90,7 @@ def swapped_walls(session: Session, names: dict[str, str]) -> Session:
     )
 
 
-def changed_half_way(scene: Scene, rig: Rig, rng: Rng) -> Session:
+def changed_half_way(scene: TrueScene, rig: Rig, rng: Rng) -> Session:
     """The second half of the recording by another rig, which is the one that is used afterwards."""
     names = list(scene.boards)
     first = {f: scene.boards[f] for f in names[: len(names) // 2]}

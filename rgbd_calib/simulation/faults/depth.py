@@ -18,12 +18,12 @@ from rgbd_calib.simulation.faults.common import (
     swapped_walls,
     with_depths,
 )
-from rgbd_calib.simulation.session import Scene, Session, film
+from rgbd_calib.simulation.session import Session, TrueScene, film
 from rgbd_calib.types import BoardView
 
 
 def _scaled_depth(factor: float, one: bool) -> Fault:
-    def fault(scene: Scene, rng: Rng) -> Session:
+    def fault(scene: TrueScene, rng: Rng) -> Session:
         session = film(scene, rng)
         for camera in [second_camera(scene)] if one else list(scene.rig.cameras):
             session = change_views(session, camera, lambda v: with_depths(v, v.depth_m * factor), close=True)
@@ -36,7 +36,7 @@ named("depth in 0.1 mm, stated as mm")(_scaled_depth(10.0, False))
 named("depth of one camera in 0.1 mm, stated as mm")(_scaled_depth(10.0, True))
 
 
-def _with_bias(scene: Scene, slope: float) -> Scene:
+def _with_bias(scene: TrueScene, slope: float) -> TrueScene:
     """The second camera's depth is too long by this share."""
     camera = second_camera(scene)
     own = scene.rig.cameras[camera]
@@ -47,12 +47,12 @@ def _with_bias(scene: Scene, slope: float) -> Scene:
 
 
 @named("depth of one camera 3 % too long")
-def _long(scene: Scene, rng: Rng) -> Session:
+def _long(scene: TrueScene, rng: Rng) -> Session:
     return film(_with_bias(scene, 0.03), rng)
 
 
 @named("depth of one camera 3 % longer than when the walls were filmed")
-def _longer(scene: Scene, rng: Rng) -> Session:
+def _longer(scene: TrueScene, rng: Rng) -> Session:
     before = film(scene, rng)
     return replace(film(_with_bias(scene, 0.03), rng), walls=before.walls, wall_cells=before.wall_cells)
 
@@ -68,7 +68,7 @@ def _shifted_depth(view: BoardView, shift_px: FloatArray) -> BoardView:
 
 
 @named("depth of one camera 10 px beside its colour")
-def _unregistered(scene: Scene, rng: Rng) -> Session:
+def _unregistered(scene: TrueScene, rng: Rng) -> Session:
     def change(v: BoardView) -> BoardView:
         return _shifted_depth(v, np.tile([10.0, 0.0], (len(v.ids), 1)))
 
@@ -76,7 +76,7 @@ def _unregistered(scene: Scene, rng: Rng) -> Session:
 
 
 @named("depth not registered to colour, 25 mm apart, all cameras")
-def _baseline(scene: Scene, rng: Rng) -> Session:
+def _baseline(scene: TrueScene, rng: Rng) -> Session:
     session = film(scene, rng)
     for camera, own in scene.rig.cameras.items():
         fx = own.intrinsics.fx
@@ -90,14 +90,14 @@ def _baseline(scene: Scene, rng: Rng) -> Session:
 
 
 @named("one camera without depth")
-def _blind(scene: Scene, rng: Rng) -> Session:
+def _blind(scene: TrueScene, rng: Rng) -> Session:
     return change_views(
         film(scene, rng), second_camera(scene), lambda v: with_depths(v, np.full(len(v.ids), np.nan)), close=True
     )
 
 
 @named("holes in one camera's depth")
-def _holes(scene: Scene, rng: Rng) -> Session:
+def _holes(scene: TrueScene, rng: Rng) -> Session:
     def change(v: BoardView) -> BoardView:
         return with_depths(v, np.where(rng.random(len(v.ids)) < 0.6, np.nan, v.depth_m))
 
@@ -105,14 +105,14 @@ def _holes(scene: Scene, rng: Rng) -> Session:
 
 
 @named("one camera's depth saturated at 1.8 m")
-def _saturated(scene: Scene, rng: Rng) -> Session:
+def _saturated(scene: TrueScene, rng: Rng) -> Session:
     return change_views(
         film(scene, rng), second_camera(scene), lambda v: with_depths(v, np.minimum(v.depth_m, 1.8)), close=True
     )
 
 
 @named("depth through 8 bits (steps of 20 mm)")
-def _lossy(scene: Scene, rng: Rng) -> Session:
+def _lossy(scene: TrueScene, rng: Rng) -> Session:
     session = film(scene, rng)
     for camera in scene.rig.cameras:
         session = change_views(session, camera, lambda v: with_depths(v, np.round(v.depth_m / 0.02) * 0.02), close=True)
@@ -120,7 +120,7 @@ def _lossy(scene: Scene, rng: Rng) -> Session:
 
 
 @named("one camera's depth drifts by 0.5 % while it warms up")
-def _drift(scene: Scene, rng: Rng) -> Session:
+def _drift(scene: TrueScene, rng: Rng) -> Session:
     at = {f: k / len(scene.boards) for k, f in enumerate(scene.boards)}
 
     def change(v: BoardView) -> BoardView:
@@ -129,7 +129,7 @@ def _drift(scene: Scene, rng: Rng) -> Session:
     return change_views(film(scene, rng), second_camera(scene), change)
 
 
-def _with_field(scene: Scene) -> Scene:
+def _with_field(scene: TrueScene) -> TrueScene:
     """The second camera's depth errs by 10 mm at 2 m more, over its image."""
     camera = second_camera(scene)
     own = scene.rig.cameras[camera]
@@ -144,18 +144,18 @@ def _with_field(scene: Scene) -> Scene:
 
 
 @named("one camera's depth off by a field over the image (10 mm at 2 m)")
-def _field(scene: Scene, rng: Rng) -> Session:
+def _field(scene: TrueScene, rng: Rng) -> Session:
     return film(_with_field(scene), rng)
 
 
 @named("a field over one camera's depth since the walls were filmed (10 mm at 2 m)")
-def _field_since(scene: Scene, rng: Rng) -> Session:
+def _field_since(scene: TrueScene, rng: Rng) -> Session:
     before = film(scene, rng)
     return replace(film(_with_field(scene), rng), walls=before.walls, wall_cells=before.wall_cells)
 
 
-def _walls(change: Callable[[dict[str, FloatArray], Scene], dict[str, FloatArray]]) -> Fault:
-    def fault(scene: Scene, rng: Rng) -> Session:
+def _walls(change: Callable[[dict[str, FloatArray], TrueScene], dict[str, FloatArray]]) -> Fault:
+    def fault(scene: TrueScene, rng: Rng) -> Session:
         session = film(scene, rng)
         assert session.walls is not None
         return replace(session, walls=change(dict(session.walls), scene))
@@ -164,14 +164,14 @@ def _walls(change: Callable[[dict[str, FloatArray], Scene], dict[str, FloatArray
 
 
 @named("depth bias of another camera")
-def _other_bias(scene: Scene, rng: Rng) -> Session:
+def _other_bias(scene: TrueScene, rng: Rng) -> Session:
     a, b = list(scene.rig.cameras)[:2]
     return swapped_walls(film(scene, rng), {b: a})
 
 
 @named("one wall distance mistyped (1.2 as 2.1)")
 @_walls
-def _mistyped(walls: dict[str, FloatArray], scene: Scene) -> dict[str, FloatArray]:
+def _mistyped(walls: dict[str, FloatArray], scene: TrueScene) -> dict[str, FloatArray]:
     rows = walls[second_camera(scene)].copy()
     rows[2, 1] = 2.1
     return {**walls, second_camera(scene): rows}
@@ -179,7 +179,7 @@ def _mistyped(walls: dict[str, FloatArray], scene: Scene) -> dict[str, FloatArra
 
 @named("one wall distance mistyped by 5 cm")
 @_walls
-def _mistyped_little(walls: dict[str, FloatArray], scene: Scene) -> dict[str, FloatArray]:
+def _mistyped_little(walls: dict[str, FloatArray], scene: TrueScene) -> dict[str, FloatArray]:
     rows = walls[second_camera(scene)].copy()
     rows[4, 1] += 0.05
     return {**walls, second_camera(scene): rows}
@@ -187,17 +187,17 @@ def _mistyped_little(walls: dict[str, FloatArray], scene: Scene) -> dict[str, Fl
 
 @named("all wall distances 5 cm too long")
 @_walls
-def _offset(walls: dict[str, FloatArray], scene: Scene) -> dict[str, FloatArray]:
+def _offset(walls: dict[str, FloatArray], scene: TrueScene) -> dict[str, FloatArray]:
     return {c: rows + [0, 0.05, 0] for c, rows in walls.items()}
 
 
 @named("wall distances in cm")
 @_walls
-def _in_cm(walls: dict[str, FloatArray], scene: Scene) -> dict[str, FloatArray]:
+def _in_cm(walls: dict[str, FloatArray], scene: TrueScene) -> dict[str, FloatArray]:
     return {c: rows * [1, 100, 1] for c, rows in walls.items()}
 
 
 @named("wall distances of one camera along its rays, 15 deg tilted")
 @_walls
-def _slant(walls: dict[str, FloatArray], scene: Scene) -> dict[str, FloatArray]:
+def _slant(walls: dict[str, FloatArray], scene: TrueScene) -> dict[str, FloatArray]:
     return {**walls, second_camera(scene): walls[second_camera(scene)] * [1, 1 / np.cos(np.radians(15)), 1]}

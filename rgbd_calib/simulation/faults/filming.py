@@ -9,12 +9,12 @@ import numpy as np
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation.faults.common import Rng, change_views, named, second_camera
-from rgbd_calib.simulation.session import Scene, Session, draw_board, film
+from rgbd_calib.simulation.session import Session, TrueScene, draw_board, film
 from rgbd_calib.simulation.views import ViewNoise, true_views
 
 
 @named("one clock 0.2 s late, the board moving at 0.15 m/s")
-def _late(scene: Scene, rng: Rng) -> Session:
+def _late(scene: TrueScene, rng: Rng) -> Session:
     camera = second_camera(scene)
     later = {}
     for f, T in scene.boards.items():
@@ -27,14 +27,14 @@ def _late(scene: Scene, rng: Rng) -> Session:
 
 
 @named("frames of one camera off by one")
-def _off_by_one(scene: Scene, rng: Rng) -> Session:
+def _off_by_one(scene: TrueScene, rng: Rng) -> Session:
     camera, names = second_camera(scene), list(scene.boards)
     after = dict(zip(names, names[1:] + names[:1], strict=True))
     return change_views(film(scene, rng), camera, lambda v: replace(v, frame=after[v.frame]))
 
 
 @named("frames of one camera off by one from the middle on")
-def _frame_lost(scene: Scene, rng: Rng) -> Session:
+def _frame_lost(scene: TrueScene, rng: Rng) -> Session:
     camera, names = second_camera(scene), list(scene.boards)
     half = len(names) // 2
     rest = names[half:]
@@ -43,7 +43,7 @@ def _frame_lost(scene: Scene, rng: Rng) -> Session:
 
 
 @named("each instant copied six times")
-def _copied(scene: Scene, rng: Rng) -> Session:
+def _copied(scene: TrueScene, rng: Rng) -> Session:
     names = list(scene.boards)[: max(len(scene.boards) // 6, 4)]
     few = replace(scene, boards={f: scene.boards[f] for f in names})
     session = film(few, rng)
@@ -52,14 +52,14 @@ def _copied(scene: Scene, rng: Rng) -> Session:
 
 
 @named("only two common frames of one camera")
-def _two_frames(scene: Scene, rng: Rng) -> Session:
+def _two_frames(scene: TrueScene, rng: Rng) -> Session:
     camera, session = list(scene.rig.cameras)[-1], film(scene, rng)
     common = sorted({v.frame for v in session.views if v.camera == camera})[:2]
     return replace(session, views=tuple(v for v in session.views if v.camera != camera or v.frame in common))
 
 
 @named("all views from one place")
-def _one_place(scene: Scene, rng: Rng) -> Session:
+def _one_place(scene: TrueScene, rng: Rng) -> Session:
     T = max(scene.boards.values(), key=lambda T: len(true_views(scene.rig, {"x": T}, scene.board, scene.noise, rng)))
     about = T @ se3.make(np.eye(3), scene.board.corners_m().mean(axis=0))
     turn = {f: rng.normal(0, 0.03, 6) * [1, 1, 1, 0.3, 0.3, 0.3] for f in scene.boards}
@@ -67,7 +67,7 @@ def _one_place(scene: Scene, rng: Rng) -> Session:
     return film(replace(scene, boards=boards), rng)
 
 
-def _square_on(scene: Scene, rng: Rng) -> Scene:
+def _square_on(scene: TrueScene, rng: Rng) -> TrueScene:
     """The same places, the board square to the first camera that sees it."""
     boards = {}
     for f, T in scene.boards.items():
@@ -79,17 +79,17 @@ def _square_on(scene: Scene, rng: Rng) -> Scene:
 
 
 @named("every board square to a camera")
-def _fronto(scene: Scene, rng: Rng) -> Session:
+def _fronto(scene: TrueScene, rng: Rng) -> Session:
     return film(_square_on(scene, rng), rng)
 
 
 @named("every board square to a camera, no other recording")
-def _fronto_alone(scene: Scene, rng: Rng) -> Session:
+def _fronto_alone(scene: TrueScene, rng: Rng) -> Session:
     return replace(film(_square_on(scene, rng), rng), close=None, walls=None)
 
 
 @named("close views all square to the camera")
-def _fronto_close(scene: Scene, rng: Rng) -> Session:
+def _fronto_close(scene: TrueScene, rng: Rng) -> Session:
     close: dict[str, dict[str, FloatArray]] = {}
     for name, boards in scene.close.items():
         close[name] = {f: draw_board(scene.rig, name, scene.board, (0.8, 1.2), rng, 0.01) for f in boards}
@@ -97,22 +97,22 @@ def _fronto_close(scene: Scene, rng: Rng) -> Session:
 
 
 @named("no other recording")
-def _alone(scene: Scene, rng: Rng) -> Session:
+def _alone(scene: TrueScene, rng: Rng) -> Session:
     return replace(film(scene, rng), close=None, walls=None)
 
 
 @named("corners noisy by 1.5 px")
-def _noisy(scene: Scene, rng: Rng) -> Session:
+def _noisy(scene: TrueScene, rng: Rng) -> Session:
     return film(replace(scene, noise=ViewNoise(1.5, scene.noise.k_depth_per_m, scene.noise.k_plane_per_m)), rng)
 
 
 @named("depth noisy by 60 mm at 2 m")
-def _noisy_depth(scene: Scene, rng: Rng) -> Session:
+def _noisy_depth(scene: TrueScene, rng: Rng) -> Session:
     return film(replace(scene, noise=ViewNoise(scene.noise.sigma_2d_px, 15e-3, 3e-3)), rng)
 
 
 @named("a tenth of the boards moved between two cameras' exposures")
-def _hasty(scene: Scene, rng: Rng) -> Session:
+def _hasty(scene: TrueScene, rng: Rng) -> Session:
     late = _late(scene, rng)
     moved = {v.frame for v in late.views if rng.random() < 0.1}
     still = film(scene, rng)
@@ -121,5 +121,5 @@ def _hasty(scene: Scene, rng: Rng) -> Session:
 
 
 @named("time stamps of one camera wrong by 0.2 s")
-def _wrong_stamps(scene: Scene, rng: Rng) -> Session:
+def _wrong_stamps(scene: TrueScene, rng: Rng) -> Session:
     return replace(film(scene, rng), late_stamps_us=2e5)

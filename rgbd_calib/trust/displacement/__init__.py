@@ -1,16 +1,16 @@
 """Where cameras stand by a few frames, against where a rig says: for verifying a rig and for doubting a recording."""
 
-from rgbd_calib.trust.displacement.cameras import CameraPoses, board_poses, joined_to, locate_cameras
-from rgbd_calib.trust.displacement.verdict import Moved, PairError, Verdict, VerdictParams, judge
-from rgbd_calib.trust.displacement.view_fit import FittedView, Noise, fit_view
+from rgbd_calib.trust.displacement.cameras import LocatedCameras, board_poses, joined_to, locate_cameras
+from rgbd_calib.trust.displacement.verdict import DisplacementVerdict, Moved, PairError, VerdictParams, judge
+from rgbd_calib.trust.displacement.view_fit import FittedView, ObservationNoise, fit_view
 
 __all__ = [
-    "CameraPoses",
+    "DisplacementVerdict",
     "FittedView",
+    "LocatedCameras",
     "Moved",
-    "Noise",
+    "ObservationNoise",
     "PairError",
-    "Verdict",
     "VerdictParams",
     "board_poses",
     "fit_view",

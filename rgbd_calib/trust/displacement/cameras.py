@@ -33,7 +33,7 @@ _CHI2_6_MEDIAN = 5.348
 
 
 @dataclass(frozen=True)
-class CameraPoses:
+class LocatedCameras:
     """The cameras that the views join to the anchor."""
 
     cameras: tuple[str, ...]
@@ -56,7 +56,7 @@ class CameraPoses:
     """By (camera, frame): the corners (n, 3) of the view, in the world."""
 
 
-def locate_cameras(views: Sequence[FittedView], T_world_color: Mapping[str, FloatArray], anchor: str) -> CameraPoses:
+def locate_cameras(views: Sequence[FittedView], T_world_color: Mapping[str, FloatArray], anchor: str) -> LocatedCameras:
     """Poses of the cameras that common frames join to `anchor`, relative to it.
 
     Parameters
@@ -100,7 +100,7 @@ def locate_cameras(views: Sequence[FittedView], T_world_color: Mapping[str, Floa
     keys = [(v.placed.view.camera, v.placed.view.frame) for v in mine]
     shift = [_rms_shift(v, T[c] @ v.T_color_board, boards[f]) for v, c, f in zip(mine, cam, frame, strict=True)]
     corners = {key: se3.transform(boards[f], v.points_m) for key, v, f in zip(keys, mine, frame, strict=True)}
-    return CameraPoses(
+    return LocatedCameras(
         cameras,
         anchor,
         {name: T_world_color[name] for name in cameras},

@@ -29,7 +29,7 @@ from scipy.stats import chi2
 
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.trust.displacement.cameras import CameraPoses
+from rgbd_calib.trust.displacement.cameras import LocatedCameras
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Moved:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class DisplacementVerdict:
     pairs: tuple[PairError, ...]
     moved: tuple[str, ...]
     """The most likely set; empty where no pair is broken."""
@@ -87,7 +87,7 @@ class Verdict:
         return not self.moved and not self.blind and not self.unjoined
 
 
-def judge(poses: CameraPoses, cameras: Sequence[str], params: VerdictParams | None = None) -> Verdict:
+def judge(poses: LocatedCameras, cameras: Sequence[str], params: VerdictParams | None = None) -> DisplacementVerdict:
     """Judge the cameras of a recording by their poses before and now."""
     params = params or VerdictParams()
     seen = [name for name in poses.cameras if any(camera == name for camera, _ in poses.corners_m)]
@@ -97,10 +97,10 @@ def judge(poses: CameraPoses, cameras: Sequence[str], params: VerdictParams | No
     still = [name for name in seen if name not in moved]
     blind = tuple(p.cameras for p in pairs if p.detectable_m > params.max_m and not set(p.cameras) & set(moved))
     unjoined = tuple(name for name in cameras if name not in seen)
-    return Verdict(pairs, moved, rivals, _displacements(poses, seen, still), blind, params.max_m, unjoined)
+    return DisplacementVerdict(pairs, moved, rivals, _displacements(poses, seen, still), blind, params.max_m, unjoined)
 
 
-def _pair(poses: CameraPoses, a: str, b: str, params: VerdictParams) -> PairError:
+def _pair(poses: LocatedCameras, a: str, b: str, params: VerdictParams) -> PairError:
     X = _places(poses, a, b)
     places = [se3.transform(poses.before[name] @ se3.inverse(poses.T_world_color[name]), X) for name in (a, b)]
     square = float(np.mean(np.sum((places[0] - places[1]) ** 2, axis=1)))
@@ -117,7 +117,7 @@ def _pair(poses: CameraPoses, a: str, b: str, params: VerdictParams) -> PairErro
     return PairError((a, b), error, float(np.sqrt(noise)), float(detectable), bool(broken))
 
 
-def _places(poses: CameraPoses, a: str, b: str) -> FloatArray:
+def _places(poses: LocatedCameras, a: str, b: str) -> FloatArray:
     """Corners (n, 3), metres, in the world, of the frames that both saw; of all that either saw where there are none."""
     frames = [{frame for camera, frame in poses.corners_m if camera == name} for name in (a, b)]
     used = frames[0] & frames[1] or frames[0] | frames[1]
@@ -142,7 +142,7 @@ def _rivals(covers: list[tuple[float, tuple[str, ...]]], params: VerdictParams) 
     return tuple(chosen for left, chosen in covers[1:] if left <= params.clear_ratio**2 * best)
 
 
-def _displacements(poses: CameraPoses, seen: Sequence[str], still: Sequence[str]) -> tuple[Moved, ...]:
+def _displacements(poses: LocatedCameras, seen: Sequence[str], still: Sequence[str]) -> tuple[Moved, ...]:
     """Every camera against the mean of those that stood still."""
     if not still:
         return ()

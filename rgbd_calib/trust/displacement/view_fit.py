@@ -27,7 +27,7 @@ _MIN_DEPTHS = 6
 
 
 @dataclass(frozen=True)
-class Noise:
+class ObservationNoise:
     """Deviations of one camera's observations."""
 
     sigma_2d_px: float = 0.2
@@ -57,7 +57,9 @@ class FittedView:
     """(n, 3), the corners seen, in the board's frame."""
 
 
-def fit_view(placed: PlacedView, board: Board, intrinsics: Intrinsics, sensor: DepthSensor, noise: Noise) -> FittedView:
+def fit_view(
+    placed: PlacedView, board: Board, intrinsics: Intrinsics, sensor: DepthSensor, noise: ObservationNoise
+) -> FittedView:
     """Fit the board's pose from the view's start by Gauss-Newton with Huber's weights."""
     view, points = placed.view, placed.points_m(board)
     raw = np.where(np.isfinite(view.depth_m), view.depth_m, 1.0)

@@ -8,7 +8,7 @@ out, :mod:`.checks` what needs no equations, :mod:`.findings` from when on somet
 """
 
 from rgbd_calib.trust.self_check.checks import (
-    Noise,
+    ResidualNoise,
     check_clipped,
     check_copies,
     check_dropped,
@@ -35,8 +35,8 @@ __all__ = [
     "Equations",
     "Finding",
     "HeldOut",
-    "Noise",
     "Outcome",
+    "ResidualNoise",
     "Score",
     "SelfCheck",
     "SelfCheckParams",

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from rgbd_calib.io.residuals import Residuals
-from rgbd_calib.quality import BoardScale, Finding, HeldOutPart, ScoreOutcome, SelfCheck
+from rgbd_calib.quality import BoardScaleEstimate, Finding, HeldOutPart, ScoreOutcome, SelfCheck
 from rgbd_calib.rig.biobjective import RefinementResult
 from rgbd_calib.rig.motion.problem import MotionProblem
 from rgbd_calib.rig.solution import Solution
 from rgbd_calib.trust.self_check import (
     Equations,
-    Noise,
     Outcome,
+    ResidualNoise,
     SelfCheckParams,
     check_clipped,
     check_copies,
@@ -176,7 +176,7 @@ def check_refined(
     params: SelfCheckParams,
 ) -> SelfCheck:
     """Checks of the estimators that take the lenses as given: noise, agreement and parts of the data."""
-    noise = {name: Noise(s, None) for name, s in sigmas_px.items() if np.isfinite(s)}
+    noise = {name: ResidualNoise(s, None) for name, s in sigmas_px.items() if np.isfinite(s)}
     ratios = ratios_of_residuals(residuals, frames_in_time, params)
     sigma_px = float(np.median([s for s in sigmas_px.values() if np.isfinite(s)] or [0.1]))
     findings = [
@@ -263,12 +263,12 @@ def _before(
     ]
 
 
-def _scale(eq: Equations, tests: Sequence[Outcome]) -> BoardScale | None:
+def _scale(eq: Equations, tests: Sequence[Outcome]) -> BoardScaleEstimate | None:
     score = next(t.score for t in tests if t.hypothesis.name == "scale")
     if not score.dof:
         return None
     sd = float(np.sqrt(score.covariance[0, 0]))
-    return BoardScale(
+    return BoardScaleEstimate(
         round(100 * float(score.estimate[0]), 4), round(100 * sd, 4), distance_m=round(usual_distance_m(eq), 3)
     )
 

@@ -16,7 +16,7 @@ from rgbd_calib.views.depth_scale import clipped_share
 
 
 @dataclass(frozen=True)
-class Noise:
+class ResidualNoise:
     """What a camera's residuals show."""
 
     sigma_px: float | None
@@ -29,7 +29,7 @@ class Noise:
     """The same by its depth."""
 
 
-def check_noise(noise: Mapping[str, Noise], params: SelfCheckParams, stated_mm: float) -> list[Finding]:
+def check_noise(noise: Mapping[str, ResidualNoise], params: SelfCheckParams, stated_mm: float) -> list[Finding]:
     """Estimated sigmas against what sensors of this kind have."""
     out = []
     for name, own in noise.items():

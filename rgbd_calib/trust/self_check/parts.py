@@ -9,11 +9,11 @@ import numpy as np
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.residuals import Residuals
 from rgbd_calib.rig.solution import Solution
-from rgbd_calib.trust.self_check import ALONE, Equations, Noise, SelfCheckParams, group_ratios
+from rgbd_calib.trust.self_check import ALONE, Equations, ResidualNoise, SelfCheckParams, group_ratios
 from rgbd_calib.types import IntArray
 
 
-def noise_of_bundle(solved: Solution, eq: Equations) -> dict[str, Noise]:
+def noise_of_bundle(solved: Solution, eq: Equations) -> dict[str, ResidualNoise]:
     out = {}
     w = solved.problem.weights
     for i, name in enumerate(solved.cameras):
@@ -25,7 +25,7 @@ def noise_of_bundle(solved: Solution, eq: Equations) -> dict[str, Noise]:
         # the pose part's 6 (3) of 2 n (n) residuals have `ratio` times the deviation of the others
         px = w.sigma_2d_px[i] * np.sqrt(np.sum(w.ratio_pixel**2) / n)
         mm = 1e3 * w.k_depth[i] * z**2 * np.sqrt(np.sum(w.ratio_depth**2) / n)
-        out[name] = Noise(
+        out[name] = ResidualNoise(
             float(w.sigma_2d_px[i]),
             float(w.k_depth[i]) if has_depth else None,
             float(1e3 * px * z / solved.state.intrinsics[i, 0]),

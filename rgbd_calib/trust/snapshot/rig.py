@@ -15,7 +15,7 @@ import numpy as np
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.linear import symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.trust.displacement import CameraPoses, PairError, VerdictParams, judge
+from rgbd_calib.trust.displacement import LocatedCameras, PairError, VerdictParams, judge
 from rgbd_calib.trust.snapshot.camera import CameraMotion
 from rgbd_calib.trust.snapshot.determined import displacement_m, free_directions, working_points
 from rgbd_calib.types import Rig
@@ -129,7 +129,7 @@ def _why_undetermined(rig: Rig, motion: CameraMotion, params: SnapshotParams) ->
     return ""
 
 
-def _as_poses(rig: Rig, motions: Mapping[str, CameraMotion], params: SnapshotParams) -> CameraPoses:
+def _as_poses(rig: Rig, motions: Mapping[str, CameraMotion], params: SnapshotParams) -> LocatedCameras:
     """The cameras and the scene, as a board's frames give them; places are the working volume of each camera."""
     names = (*motions, SCENE)
     before = {name: rig.cameras[name].T_world_color for name in motions} | {SCENE: np.eye(4)}
@@ -141,7 +141,7 @@ def _as_poses(rig: Rig, motions: Mapping[str, CameraMotion], params: SnapshotPar
         C[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = Ad @ m.motion.covariance @ Ad.T
         points = working_points(rig.cameras[name].intrinsics, params.distance_m)
         places[name, SCENE] = se3.transform(before[name], points)
-    return CameraPoses(names, SCENE, before, now, C, 1.0, {}, {}, {}, places)
+    return LocatedCameras(names, SCENE, before, now, C, 1.0, {}, {}, {}, places)
 
 
 def _common(rig: Rig, motions: Mapping[str, CameraMotion], still: Sequence[str]) -> tuple[FloatArray, FloatArray]:

@@ -12,7 +12,7 @@ from rgbd_calib.views.doctor.checks import (
     check_stems,
     check_timestamps,
 )
-from rgbd_calib.views.doctor.findings import Finding, listed
+from rgbd_calib.views.doctor.findings import RecordingFinding, listed
 from rgbd_calib.views.doctor.measures import (
     ImageMeasures,
     ViewMeasures,
@@ -25,8 +25,8 @@ from rgbd_calib.views.doctor.measures import (
 
 __all__ = [
     "DoctorParams",
-    "Finding",
     "ImageMeasures",
+    "RecordingFinding",
     "ViewMeasures",
     "check_consistency",
     "check_depth",

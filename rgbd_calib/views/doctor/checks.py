@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rgbd_calib.views.depth_scale import name_factor
-from rgbd_calib.views.doctor.findings import Finding, Kind, listed
+from rgbd_calib.views.doctor.findings import Kind, RecordingFinding, listed
 from rgbd_calib.views.doctor.measures import BLACK, ImageMeasures, ViewMeasures
 
 Key = tuple[str, str]
@@ -57,7 +57,7 @@ class DoctorParams:
 
 def check_frames(
     color: Mapping[str, Sequence[str]], depth: Mapping[str, Sequence[str]], params: DoctorParams
-) -> list[Finding]:
+) -> list[RecordingFinding]:
     """Frames that some cameras lack, where cameras were filmed together; depth images that are missing."""
     findings = []
     shared = len({f for frames in color.values() for f in frames}) < sum(map(len, color.values()))
@@ -66,7 +66,7 @@ def check_frames(
         lost = [f for f in together if f not in frames] if shared else []
         if lost:
             findings.append(
-                Finding(
+                RecordingFinding(
                     "missing",
                     (camera,),
                     tuple(lost),
@@ -78,20 +78,20 @@ def check_frames(
         bare = [f for f in frames if f not in depth[camera]]
         if not depth[camera]:
             text = f"{camera} has no depth images: it is posed by its pixels alone. Record depth if the camera has it"
-            findings.append(Finding("missing", (camera,), (), False, text))
+            findings.append(RecordingFinding("missing", (camera,), (), False, text))
         elif bare:
             enough = len(frames) - len(bare) >= params.min_frames_share * len(frames)
             text = (
                 f"{camera}: {listed(bare)} without depth image ({len(bare)} of {len(frames)}). Check its USB bandwidth, "
                 "and film again"
             )
-            findings.append(Finding("missing", (camera,), tuple(bare), not enough, text))
+            findings.append(RecordingFinding("missing", (camera,), tuple(bare), not enough, text))
     return findings
 
 
 def check_stems(
     color: Mapping[str, Sequence[str]], stamps_us: Mapping[str, Mapping[str, tuple[float, float]]]
-) -> list[Finding]:
+) -> list[RecordingFinding]:
     """Cameras whose frames never have the name of another camera's, so that nothing says what was simultaneous.
 
     Where no two cameras share a name and their times do not overlap, each was filmed by itself: nothing to find.
@@ -121,10 +121,12 @@ def check_stems(
         f"{', '.join(alone)}: no frame has the name of another camera's frame, so that nothing says which images show one "
         f"instant ({shown}). {remedy}"
     )
-    return [Finding("not joined", tuple(alone), (), together or not all_alone, text)]
+    return [RecordingFinding("not joined", tuple(alone), (), together or not all_alone, text)]
 
 
-def check_timestamps(stamps_us: Mapping[str, Mapping[str, tuple[float, float]]], params: DoctorParams) -> list[Finding]:
+def check_timestamps(
+    stamps_us: Mapping[str, Mapping[str, tuple[float, float]]], params: DoctorParams
+) -> list[RecordingFinding]:
     """Exposures of one frame that are too far apart, between cameras and between colour and depth of one camera."""
     findings, limit_us = [], 1e6 * params.max_spread_s
     wanted = f"{1e3 * params.max_spread_s:g} ms at most are needed"
@@ -135,7 +137,7 @@ def check_timestamps(stamps_us: Mapping[str, Mapping[str, tuple[float, float]]],
                 f"{camera}: colour and depth up to {max(late.values()) / 1e3:.0f} ms apart in {listed(sorted(late))}; "
                 f"{wanted}. Hold the board still for a second at each place, or let the sensor synchronise its streams"
             )
-            findings.append(Finding("unsynchronised", (camera,), tuple(sorted(late)), True, text))
+            findings.append(RecordingFinding("unsynchronised", (camera,), tuple(sorted(late)), True, text))
     frames = sorted({f for rows in stamps_us.values() for f in rows})
     spread, worst = {}, dict.fromkeys(stamps_us, 0)
     for frame in frames:
@@ -150,13 +152,13 @@ def check_timestamps(stamps_us: Mapping[str, Mapping[str, tuple[float, float]]],
             f"cameras up to {max(spread.values()) / 1e3:.0f} ms apart in {listed(sorted(spread))} ({camera} mostly); {wanted}. "
             "Hold the board still for a second at each place, or synchronise the cameras"
         )
-        findings.append(Finding("unsynchronised", (camera,), tuple(sorted(spread)), True, text))
+        findings.append(RecordingFinding("unsynchronised", (camera,), tuple(sorted(spread)), True, text))
     return findings
 
 
 def check_exposure(
     images: Mapping[Key, ImageMeasures], views: Mapping[Key, ViewMeasures], params: DoctorParams
-) -> list[Finding]:
+) -> list[RecordingFinding]:
     """Boards, or whole images, that are white or black."""
     bright = [
         k
@@ -174,7 +176,7 @@ def check_exposure(
 
 def check_sharpness(
     views: Mapping[Key, ViewMeasures], missed: Mapping[Key, tuple[float, bool]], params: DoctorParams
-) -> list[Finding]:
+) -> list[RecordingFinding]:
     """Views that are blurred against the camera's others, and boards that should be seen and were not found.
 
     `missed` has the texture where a board must be by the other cameras, and whether it lies well inside the image.
@@ -207,11 +209,13 @@ def check_sharpness(
             f"{camera}: the board should be seen whole in {listed(frames)} and was not found ({len(frames)} of {expected}). "
             "Keep things from between, and its white border free"
         )
-        findings.append(Finding("not found", (camera,), frames, len(frames) > params.max_missed_share * expected, text))
+        findings.append(
+            RecordingFinding("not found", (camera,), frames, len(frames) > params.max_missed_share * expected, text)
+        )
     return findings
 
 
-def check_empty(images: set[Key], seen: set[Key]) -> list[Finding]:
+def check_empty(images: set[Key], seen: set[Key]) -> list[RecordingFinding]:
     """Frames in which no camera shows the board."""
     empty = tuple(sorted({f for _, f in images} - {f for _, f in seen}))
     if not empty:
@@ -219,10 +223,10 @@ def check_empty(images: set[Key], seen: set[Key]) -> list[Finding]:
     text = (
         f"no camera shows the board in {listed(empty)}. They add nothing: hold the board where two cameras see it whole"
     )
-    return [Finding("not found", (), empty, False, text)]
+    return [RecordingFinding("not found", (), empty, False, text)]
 
 
-def check_depth_unit(offsets: Mapping[Key, tuple[float, float]], lens_known: Collection[str]) -> list[Finding]:
+def check_depth_unit(offsets: Mapping[Key, tuple[float, float]], lens_known: Collection[str]) -> list[RecordingFinding]:
     """Cameras whose depth differs from the board's distance by its pixels by a factor that lies between units.
 
     `offsets` are the board's distance by pixels, metres, and depth over it less one, by view; factors below 2 are judged
@@ -237,13 +241,13 @@ def check_depth_unit(offsets: Mapping[Key, tuple[float, float]], lens_known: Col
                 f"{camera}: measured depth is {ratio:.3g} times the board's distance by its pixels, about 1 needed; {factor}. "
                 "Correct depth_scale in dataset.yaml, or the board's square if all cameras agree"
             )
-            findings.append(Finding("depth unit", (camera,), (), True, text))
+            findings.append(RecordingFinding("depth unit", (camera,), (), True, text))
     return findings
 
 
 def check_depth(
     views: Mapping[Key, ViewMeasures], offset: Mapping[Key, tuple[float, float]], params: DoctorParams
-) -> list[Finding]:
+) -> list[RecordingFinding]:
     """Depth that is missing on the board, covered, or of another instant than the colour image.
 
     `offset` has, for each view, the board's distance by its pixels, metres, and depth over it, less one.
@@ -284,7 +288,7 @@ def check_depth(
 
 def check_consistency(
     shift_m: Mapping[Key, float], unfit: Mapping[Key, str], views: Sequence[Key], params: DoctorParams
-) -> list[Finding]:
+) -> list[RecordingFinding]:
     """Views that put the board elsewhere than the other cameras do, and views whose board fits in no reading."""
     findings = []
     usual = float(np.median(list(shift_m.values()))) if shift_m else 0.0
@@ -307,7 +311,7 @@ def check_consistency(
             f"from where {'the other sees' if len(named) == 2 else 'the others see'} it ({1e3 * usual:.1f} mm are usual here): "
             "it moved between the shots. Hold it still until all cameras have exposed, or delete these frames"
         )
-        findings.append(Finding("moved", named, tuple(sorted(by_frame)), True, text))
+        findings.append(RecordingFinding("moved", named, tuple(sorted(by_frame)), True, text))
     seen: dict[str, set[str]] = {}
     for camera, frame in views:
         seen.setdefault(frame, set()).add(camera)
@@ -325,7 +329,7 @@ def check_consistency(
         text = (
             f"{' or '.join(group)}: what it shows in {listed(odd_frames)} is not the board where {others} it: {remedy}"
         )
-        findings.append(Finding("not the board", group, odd_frames, True, text))
+        findings.append(RecordingFinding("not the board", group, odd_frames, True, text))
     return findings
 
 
@@ -338,9 +342,9 @@ def _robust_line(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return line
 
 
-def _by_camera(kind: Kind, keys: Sequence[Key], what: str) -> list[Finding]:
+def _by_camera(kind: Kind, keys: Sequence[Key], what: str) -> list[RecordingFinding]:
     findings = []
     for camera in sorted({c for c, _ in keys}):
         frames = tuple(sorted(f for c, f in keys if c == camera))
-        findings.append(Finding(kind, (camera,), frames, True, f"{camera}: {listed(frames)}: {what}"))
+        findings.append(RecordingFinding(kind, (camera,), frames, True, f"{camera}: {listed(frames)}: {what}"))
     return findings

@@ -15,7 +15,7 @@ Kind = Literal[
 
 
 @dataclass(frozen=True)
-class Finding:
+class RecordingFinding:
     """One thing to mend."""
 
     kind: Kind
