@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rgbd_calib.errors import ConfigError
-from rgbd_calib.io.layout import Kind
+from rgbd_calib.io.layout import Kind, braced, closed, is_plain, unbraced
 from rgbd_calib.io.schema_base import check_name
 
 FRAME, CAMERA = "{frame}", "{camera}"
-TOKENS = re.compile(r"\{frame\}|[^\W\d_]+|\d+|[^\w{}]|_")
+TOKENS = re.compile(r"\{frame\}|\{\{|\}\}|[^\W\d_]+|\d+|[^\w{}]|_")
 """Words, numbers, and what stands between them."""
 Naming = tuple[list[str], str | None]
 """Cameras of the streams of one kind, and their pattern."""
@@ -76,11 +76,11 @@ def _by_known(templates: Sequence[str], cameras: Sequence[str]) -> list[Naming]:
     names: list[str] = []
     patterns: set[str] = set()
     for template in templates:
-        there = [c for c in cameras if re.search(rf"(?<![^\W_]){re.escape(c)}(?![^\W_])", template)]
+        there = [c for c in cameras if re.search(rf"(?<![^\W_]){re.escape(braced(c))}(?![^\W_])", template)]
         if len(there) != 1:
             return []
         names.append(there[0])
-        patterns.add(template.replace(there[0], CAMERA))
+        patterns.add(template.replace(braced(there[0]), CAMERA))
     return [(names, patterns.pop())] if len(patterns) == 1 else []
 
 
@@ -97,9 +97,9 @@ def _is_name(text: str) -> bool:
 
 def _alone(template: str) -> str:
     """The name of an only camera: its folder's, where that is all that its folder is for."""
-    parts = template.split("/")
+    folder, *rest = template.split("/")
     kinds = ("color", "colour", "rgb", "depth", "ir")
-    return parts[0] if len(parts) == 3 and parts[1] in kinds and _is_name(parts[0]) else "C1"
+    return unbraced(folder) if len(rest) == 2 and rest[0] in kinds and _is_name(unbraced(folder)) else "C1"
 
 
 def _namings(templates: Sequence[str]) -> list[Naming]:
@@ -110,8 +110,8 @@ def _namings(templates: Sequence[str]) -> list[Naming]:
         for match in re.finditer(r"(?:^|(?<=[/_.\- ]))[^\W\d_]+\d+(?=[/_.\- ])", template):  # cam0 in cam0_rgb_{frame}
             ways.append(([match.group()], template.replace(match.group(), CAMERA)))
         folder = template.split("/")[0]
-        if _alone(template) == folder:
-            ways.insert(0, ([folder], template.replace(folder, CAMERA, 1)))
+        if _alone(template) == unbraced(folder):
+            ways.insert(0, ([unbraced(folder)], template.replace(folder, CAMERA, 1)))
         return ways
     ways = _by_tokens(templates)
     first, last = _common(templates), _common([t[::-1] for t in templates])
@@ -119,8 +119,9 @@ def _namings(templates: Sequence[str]) -> list[Naming]:
         head = re.sub(rf"{widen}*$", "", first) if widen else first
         tail = re.sub(rf"{widen}*$", "", last) if widen else last
         middles = [t[len(head) : len(t) - len(tail)] for t in templates]
-        if all(middles) and not any("{" in m for m in middles):
-            ways.append((middles, head + CAMERA + tail[::-1]))
+        pattern = head + CAMERA + tail[::-1]
+        if all(middles) and all(map(is_plain, middles)) and closed(pattern):
+            ways.append(([unbraced(m) for m in middles], pattern))
     return ways
 
 
@@ -138,7 +139,7 @@ def _by_tokens(templates: Sequence[str]) -> list[Naming]:
         lead = {split[0][i - 1] for i in places} if wide else {""}
         if len(lead) > 1:
             continue
-        names = [next(iter(lead)) + tokens[places[0]] for tokens in split]
+        names = [unbraced(next(iter(lead)) + tokens[places[0]]) for tokens in split]
         pattern = "".join(
             CAMERA if i in places else "" if wide and i + 1 in places else token for i, token in enumerate(split[0])
         )

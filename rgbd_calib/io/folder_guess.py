@@ -17,7 +17,7 @@ from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.camera_names import CAMERA, FRAME, TOKENS, name_cameras
 from rgbd_calib.io.frame_names import NUMBER, order
 from rgbd_calib.io.images import DEPTH_SUFFIXES, SUFFIXES
-from rgbd_calib.io.layout import KINDS, FilePatterns, Kind, describe_unused, walk
+from rgbd_calib.io.layout import KINDS, FilePatterns, Kind, braced, describe_unused, walk
 from rgbd_calib.io.schema_base import check_name
 from rgbd_calib.io.sniff import Sniffed, sniff
 
@@ -97,7 +97,7 @@ class Guess:
     def standard(self) -> bool:
         """Files lie as CAM/color/STEM.png and the like, so that patterns need not be stated."""
         return all(
-            stream.template.rpartition(".")[0] == f"{camera}/{kind}/{FRAME}"
+            stream.template.rpartition(".")[0] == f"{braced(camera)}/{kind}/{FRAME}"
             for kind, of_kind in self.streams.items()
             for camera, stream in of_kind.items()
         )
@@ -248,15 +248,15 @@ def _numbered(paths: Sequence[str], mode: str) -> list[tuple[str, str, str]]:
 def _whole_stem(path: str) -> tuple[str, str, str]:
     folder, slash, name = path.rpartition("/")
     stem, dot, suffix = name.rpartition(".")
-    return f"{folder}{slash}{FRAME}{dot}{suffix}", stem, path
+    return f"{braced(folder)}{slash}{FRAME}{dot}{braced(suffix)}", stem, path
 
 
 def _replaced(path: str, pieces: Sequence[tuple[tuple[int, int], str]]) -> str:
     out, at = "", 0
     for (start, end), text in pieces:
-        out += path[at:start] + text
+        out += braced(path[at:start]) + text
         at = end
-    return out + path[at:]
+    return out + braced(path[at:])
 
 
 def _assign(root: Path, streams: Sequence[Stream], remarks: Sequence[str]) -> Guess:
@@ -361,7 +361,7 @@ def _given(root: Path, given: Mapping[Kind, str], look: Callable[[Path], Sniffed
                         f"{next(iter(files.values()))}: {needed} expected for --{kind}, {looks.pixels} seen. Correct the pattern"
                     )
                 text = patterns.by_kind()[kind] or ""
-                streams[kind][camera] = Stream(text.replace(CAMERA, camera), relative, looks)
+                streams[kind][camera] = Stream(text.replace(CAMERA, braced(camera)), relative, looks)
     return Guess(streams, patterns)
 
 

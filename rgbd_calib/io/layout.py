@@ -23,12 +23,14 @@ _TABLES = ("timestamps.csv", "distances.csv")
 _TEXTS = (".yaml", ".yml", ".json", ".txt", ".csv", ".md", ".xml", ".toml", ".html", ".pdf", ".log", ".py", ".sh")
 """Files that people keep beside images, and that are not counted where images may lie anywhere."""
 _DEEPEST = 8
-_FIELD = re.compile(r"\{(\w*)\}")
+_FIELD = re.compile(r"\{\{|\}\}|\{(\w*)\}")
+"""A field, or a brace of a name, written twice."""
 
 
 @dataclass(frozen=True)
 class FilePatterns:
-    """Paths in a recording with {camera} and {frame} in them, each as often as one likes, and * for anything but /."""
+    """Paths in a recording with {camera} and {frame} in them, each as often as one likes, and * for anything but /; {{ and }}
+    are braces of a name."""
 
     color: str
     depth: str | None = None
@@ -42,11 +44,14 @@ class FilePatterns:
         for kind, text in self.by_kind().items():
             if text is None:
                 continue
-            path, fields = PurePosixPath(text), set(_FIELD.findall(text))
+            path, fields = PurePosixPath(text), {field[1] for field in _FIELD.finditer(text)} - {None}
             if path.is_absolute() or ".." in path.parts or "\\" in text or PureWindowsPath(text).drive:
                 raise ValueError(f"files.{kind}: a path inside the recording with / between its parts is needed")
-            if not text.isprintable() or fields - {"camera", "frame"} or set("{}") & set(_FIELD.sub("", text)):
-                raise ValueError(f"files.{kind}: {{camera}} and {{frame}} are all that a pattern may have in braces")
+            if not text.isprintable() or fields - {"camera", "frame"} or not closed(text):
+                raise ValueError(
+                    f"files.{kind}: {{camera}} and {{frame}} are all that a pattern may have in braces; braces of a name are "
+                    "written twice, as {{1}}"
+                )
             if "frame" not in fields or ("camera" not in fields and len(cameras) > 1):
                 lacks = "frame" if "frame" not in fields else "camera"
                 raise ValueError(f"files.{kind}: {{{lacks}}} is missing; as rgb_{{camera}}_{{frame}}.jpg")
@@ -169,13 +174,34 @@ def _compile(text: str, cameras: Sequence[str]) -> re.Pattern[str]:
     parts, at = [], 0
     for field in _FIELD.finditer(text):
         name = field[1]
-        parts += [_literal(text[at : field.start()]), groups[name]]
-        groups[name] = f"(?P={name})"
+        parts += [_literal(text[at : field.start()]), groups[name] if name else re.escape(field[0][0])]
+        if name:
+            groups[name] = f"(?P={name})"
         at = field.end()
     last = _literal(text[at:])
     if text.endswith(".*"):  # a suffix has no dot in it: 0.1234.png is frame 0.1234
         last = last.removesuffix("[^/]*") + "[^/.]*"
     return re.compile("".join([*parts, last]))
+
+
+def braced(text: str) -> str:
+    """A part of a path as a pattern has it."""
+    return text.replace("{", "{{").replace("}", "}}")
+
+
+def unbraced(text: str) -> str:
+    """A part of a path that a pattern has so."""
+    return text.replace("{{", "{").replace("}}", "}")
+
+
+def is_plain(text: str) -> bool:
+    """Is there no field in a part of a pattern?"""
+    return not set("{}") & set(re.sub(r"\{\{|\}\}", "", text))
+
+
+def closed(text: str) -> bool:
+    """Is each brace of a pattern a field's, or written twice?"""
+    return not set("{}") & set(_FIELD.sub("", text))
 
 
 def _literal(text: str) -> str:

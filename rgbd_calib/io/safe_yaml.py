@@ -27,8 +27,8 @@ class UnsafeYaml(Exception):
     """What is wrong, where, and what to do, without the file's name."""
 
 
-def load(text: str) -> Any:
-    """The only document of a YAML text; keys are text as written.
+def load(text: str, as_text: bool = False) -> Any:
+    """The only document of a YAML text; keys are text as written, and so are all values where `as_text`.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def load(text: str) -> Any:
     """
     try:
         _check(text)
-        return yaml.load(text, Loader=_Loader)
+        return yaml.load(text, Loader=_Words if as_text else _Loader)
     except (yaml.YAMLError, ValueError, OverflowError) as error:
         words = " ".join(str(error).split())
         raise UnsafeYaml(f"not valid YAML: {words if len(words) < 300 else words[:297] + '...'}") from error
@@ -60,6 +60,14 @@ class _Loader(_Base):  # type: ignore[misc, valid-type]
 _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 _Loader.add_constructor("tag:yaml.org,2002:float", _Loader.construct_yaml_float)
 _Loader.add_constructor("tag:yaml.org,2002:timestamp", _Loader.construct_yaml_str)
+
+
+class _Words(_Loader):
+    """Every value is text: `on` is no boolean."""
+
+
+for _tag in ("int", "float", "bool", "null"):
+    _Words.add_constructor(f"tag:yaml.org,2002:{_tag}", _Loader.construct_yaml_str)
 
 
 def _short_number(node: yaml.ScalarNode) -> yaml.ScalarNode:

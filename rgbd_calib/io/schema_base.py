@@ -47,7 +47,8 @@ def check_name(text: str) -> str:
     alone = text != "" and PurePosixPath(text).name == text and PureWindowsPath(text).name == text
     if not alone or text.startswith(".") or not text.isprintable() or len(text) > MAX_NAME or text != text.strip():
         raise ValueError(
-            f"a camera's name is that of its folder: 1 to {MAX_NAME} printable characters without / and \\, and no dot first"
+            f"a camera's name is that of its folder: 1 to {MAX_NAME} printable characters without / : and \\, no dot first and no "
+            f"space at its ends; {short(text)} seen"
         )
     return text
 

@@ -107,7 +107,10 @@ def load_document(path: Path, size: Size | None = None) -> Document:
 
 def _parse(suffix: str, text: str) -> Any:
     if suffix == ".json":
-        return json.loads(text)
+        try:
+            return json.loads(text)
+        except ValueError:
+            return json.loads(_unescaped(text))
     if suffix == ".xml":
         return _xml_tree(text)
     if suffix == ".toml":
@@ -117,10 +120,16 @@ def _parse(suffix: str, text: str) -> Any:
             import tomli as tomllib  # type: ignore[no-redef, import-not-found, unused-ignore]
         return tomllib.loads(text)
     if suffix in (".yaml", ".yml"):
-        if text.startswith("%YAML"):  # OpenCV's `%YAML:1.0` is no YAML to others
-            text = text.partition("\n")[2]
-        return safe_yaml.load(re.sub(r"!!opencv-[\w-]+", "", text))
+        of_opencv = text.startswith("%YAML")  # no YAML to others, and its words are not quoted
+        if of_opencv:
+            text = _unescaped(text.partition("\n")[2])
+        return safe_yaml.load(re.sub(r"!!opencv-[\w-]+", "", text), as_text=of_opencv)
     return {}
+
+
+def _unescaped(text: str) -> str:
+    r"""Without the backslash that OpenCV writes before ', which neither JSON nor YAML has: "it\'s"."""
+    return re.sub(r"(\\[^'])|\\'", lambda match: match[1] or "'", text)
 
 
 def _xml_tree(text: str) -> Any:
@@ -132,7 +141,10 @@ def _xml_tree(text: str) -> Any:
 def _element(element: ElementTree.Element) -> Any:
     children = list(element)
     if not children:
-        words = (element.text or "").split()
+        text = (element.text or "").strip()
+        if len(text) > 1 and text[0] == text[-1] == '"' and not re.search(r'"\s+"', text):
+            return text[1:-1]  # OpenCV quotes strings that are no words
+        words = text.split()
         return words if len(words) > 1 else words[0] if words else ""
     if all(child.tag == "_" for child in children):
         return [_element(child) for child in children]
