@@ -93,11 +93,12 @@ def _lens(path: Path, camera: int, model: str, size: tuple[int, int], values: Fl
     return lens(path, f"camera {camera}", size, focal, centre - 0.5, k, model == "OPENCV_FISHEYE")
 
 
-def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+def _rows(path: Path, words: int = -1) -> Iterator[tuple[int, list[str]]]:
+    """Lines by number, split at spaces: into so many words at most, the last of which may have spaces in it."""
     text = read_bytes(path, MAX_BYTES).decode("utf-8", "replace")
     for number, line in enumerate(text.splitlines(), 1):
         if not line.startswith("#"):
-            yield number, line.split()
+            yield number, line.strip().split(maxsplit=max(words - 1, -1))
 
 
 def _text_cameras(path: Path) -> Iterator[tuple[int, Intrinsics]]:
@@ -112,7 +113,7 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Intrinsics]]:
 
 def _text_images(path: Path) -> Iterator[_Image]:
     """Every other line; the points are on the lines between, which may be empty."""
-    rows = list(_rows(path))
+    rows = list(_rows(path, 10))
     while rows and not rows[0][1]:
         rows.pop(0)
     for line, words in rows[::2]:
@@ -121,7 +122,7 @@ def _text_images(path: Path) -> Iterator[_Image]:
         if len(words) < 10:
             raise ConfigError(f"{path}: line {line}: IMAGE_ID, pose, CAMERA_ID NAME needed. Is it complete?")
         v = numbers(path, f"line {line}", words[:9], 9)
-        yield _Image(int(v[8]), " ".join(words[9:]), rigid_of_quaternion(path, f"line {line}", v[1:5], v[5:8]))
+        yield _Image(int(v[8]), words[9], rigid_of_quaternion(path, f"line {line}", v[1:5], v[5:8]))
 
 
 def _text_rig(path: Path) -> Iterator[tuple[int, FloatArray]]:

@@ -21,7 +21,7 @@ from rgbd_calib.types import Board
 NAMES = {
     "marks": ("#1", "a #b", "[c]"),
     "braces": ("{camera}", "}x{", "{frame}"),
-    "spaces and percent": ("left cam", "50%", "%(a)s"),
+    "spaces and percent": ("left  cam", "50%", "%(a)s"),
     "unicode": ("ünï", "目", "ß"),
     "dashes": ("-c", "--help", "-"),
     "numbers": ("1", "0x10", "1e5"),
