@@ -43,7 +43,7 @@ class MonitorRound:
 
     number: int
     time: str
-    """timezone.utc, ISO 8601."""
+    """UTC, ISO 8601."""
     verdict: RigVerdict | None
     """None where there was none."""
     problem: str
