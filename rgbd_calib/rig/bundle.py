@@ -123,7 +123,7 @@ def solved(problem: Problem, state: State, frames: tuple[str, ...], views: Seque
                 continue
             if settled := problem.weights.weighs_depth:
                 break
-        if moved < params.weight_tolerance or k == last_alike:
+        if moved < params.weight_tolerance or k >= last_alike:
             problem = replace(problem, weights=replace(problem.weights, weighs_depth=True))
     course = Course(
         tuple(views), frames, dropped, dropped_corners, tuple(history), iterations, settled, _message(settled, params)

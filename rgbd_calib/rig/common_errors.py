@@ -124,7 +124,7 @@ def _sums(problem: Problem, state: State, some: IntArray | None) -> _Sums:
     for views, look, rows in problem.rows(state, some):
         of_pixels = look.kind is Kind.PIXEL
         Q, ratio = weights.parts(look.kind)
-        parts = rows.parts(Q[views])
+        parts = None if of_pixels else rows.parts(Q[views])
         used = (np.abs(rows.J_unit).max(axis=-1) > 0) | (np.abs(rows.J).max(axis=-1) > 0)
         for columns in (slice(0, 2),) if of_pixels else (slice(2, 3), slice(3, 4)):
             cell = cells[views][..., columns]
@@ -142,7 +142,7 @@ def _sums(problem: Problem, state: State, some: IntArray | None) -> _Sums:
             (view, k), which = np.unique(np.stack([view, k]), axis=1, return_inverse=True)
             in_parts = np.zeros((len(k), len(ratio)))  # a' Q of each view and cell
             np.add.at(in_parts, which.ravel(), own_Q)
-            if of_pixels:
+            if parts is None:
                 in_pose += np.bincount(k, in_parts**2 @ weights.excess_pixel, minlength=K)
                 continue
             off = in_parts * (1 - ratio**-2)  # what W takes off

@@ -101,6 +101,7 @@ def reweighted(problem: Problem, state: State, covariance: Covariance) -> Weight
         ratio_pixel=ratios[0],
         ratio_depth=ratios[1],
         sizes=_sizes(problem, state, covariance),
+        wall_bend=_bends(problem, state, covariance),
         **_distance_weights(problem, state, covariance),
     )
     return _robust(problem, state, new, pixel, depth)
@@ -160,14 +161,18 @@ def _distance_weights(problem: Problem, state: State, covariance: Covariance) ->
     told = max(float(np.sum(1 - old.robust_distance * left / old.distance_factor**2)), 0.0)
     factor2 = (DISTANCE_DOF + float(np.sum(old.robust_distance * t**2))) / (DISTANCE_DOF + told)
     robust = huber(t[:, None, None] / np.sqrt(factor2), DISTANCE_SIGMAS)[:, 0]
-    bend, own_dof = state.walls.values[:, 3:], BEND_DOF
-    left = np.einsum("wkk->wk", covariance.of_units[-walls.n :, 3:6, 3:6])
-    size2 = old.wall_bend.copy() ** 2
+    return {"distance_factor": float(np.sqrt(factor2)), "robust_distance": robust}
+
+
+def _bends(problem: Problem, state: State, covariance: Covariance) -> FloatArray:
+    """Size (C,) of the walls' bends, a variance component of each camera."""
+    walls, size2, usual = problem.setup.walls, problem.weights.wall_bend**2, problem.setup.params.wall_bend
+    bend, left = state.walls.values[:, 3:], np.einsum("wkk->wk", covariance.of_units[problem.n_board_units :, 3:6, 3:6])
     for c in np.unique(walls.camera):
         mine = walls.camera == c
         told = max(float(np.sum(1 - left[mine] / size2[c])), 0.0)
-        size2[c] = (own_dof * problem.setup.params.wall_bend**2 + float(np.sum(bend[mine] ** 2))) / (own_dof + told)
-    return {"distance_factor": float(np.sqrt(factor2)), "robust_distance": robust, "wall_bend": np.sqrt(size2)}
+        size2[c] = (BEND_DOF * usual**2 + float(np.sum(bend[mine] ** 2))) / (BEND_DOF + told)
+    return np.asarray(np.sqrt(size2))
 
 
 def _prior(R: Sequence[FloatArray], size2: FloatArray, parts: Sequence[slice]) -> FloatArray:
