@@ -67,7 +67,7 @@ def test_a_recording_and_its_truth_have_the_board(tmp_path):
     )
     simulate(tmp_path, params, 1, progress)
     assert open_recording(tmp_path / "extrinsic").board == board
-    assert len(read_rig(tmp_path / "truth.yaml").quality["board"]["shape"]["front_m"]) == board.n_corners
+    assert read_rig(tmp_path / "truth.yaml").quality.board_shape.front_m.shape == (board.n_corners, 3)
 
 
 @pytest.mark.parametrize(
