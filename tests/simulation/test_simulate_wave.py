@@ -173,5 +173,5 @@ def test_command_writes_each_camera_with_its_own_frames_and_clock(run, tmp_path)
     own = next(row for row in times if f"{row['camera']} {row['frame']}" in boards)
     place = [float(own[key]) for key in ("tx_m", "ty_m", "tz_m")]
     np.testing.assert_allclose(boards[f"{own['camera']} {own['frame']}"][:3, 3], place, atol=1e-6)
-    points = evaluate_truth(tmp_path / "out" / "truth.yaml", tmp_path / "out" / "truth.yaml")["all"]
-    assert points["mean_mm"] < 1e-6
+    points = evaluate_truth(tmp_path / "out" / "truth.yaml", tmp_path / "out" / "truth.yaml").all
+    assert points.mean_mm < 1e-6
