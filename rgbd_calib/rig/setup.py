@@ -144,6 +144,11 @@ class CameraPrior:
     mount: MountPrior | None = None
     """Of a depth camera that is unknown but for its place beside a colour camera; None: a camera by itself."""
 
+    @property
+    def given_bias(self) -> DepthBias | None:
+        """What is known of the depth bias beside what the bundle has; None where that is nothing."""
+        return None if self.bias_is_start else self.bias
+
 
 @dataclass(frozen=True)
 class Setup:

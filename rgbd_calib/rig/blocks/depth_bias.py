@@ -62,8 +62,8 @@ class DepthBiasBlock(LinearDepthErrorBlock):
         for i, prior in enumerate(self.setup.priors):
             z = obs.depth_m[(obs.camera == i)[:, None] & obs.has_depth]
             z = np.concatenate([z, walls.depth_m[(walls.camera == i)[:, None] & walls.seen]])
-            if prior.bias is not None and not prior.bias_is_start:
-                ranges.append((prior.bias.min_m, prior.bias.max_m))
+            if (given := prior.given_bias) is not None:
+                ranges.append((given.min_m, given.max_m))
             else:
                 ranges.append((float(z.min()), float(z.max())) if len(z) else (0.0, 1.0))
         return np.array(ranges)
@@ -73,7 +73,7 @@ class DepthBiasBlock(LinearDepthErrorBlock):
         """(C, 2): where each bias is a polynomial."""
         out = []
         for i, (prior, (low, high)) in enumerate(zip(self.setup.priors, self.data_m, strict=True)):
-            if prior.bias is not None and not prior.bias_is_start:
+            if prior.given_bias is not None:
                 out.append((low, high))
             else:
                 out.append((low, high * self._longest(i)) if self.along_ray(i) else (low / BEYOND, high * BEYOND))
@@ -82,8 +82,7 @@ class DepthBiasBlock(LinearDepthErrorBlock):
     def along_ray(self, camera: int) -> bool:
         """Does this camera err in the distance along its pixels' rays?"""
         prior = self.setup.priors[camera]
-        known = prior.bias is not None and not prior.bias_is_start
-        return prior.bias.along_ray if known and prior.bias is not None else prior.time_of_flight
+        return prior.time_of_flight if prior.given_bias is None else prior.given_bias.along_ray
 
     def stretch(self, camera: int, pixels_px: FloatArray) -> FloatArray:
         """(...), length of the pixels' rays (x, y, 1) by the lens at the start; 1 for cameras that err in z."""
@@ -115,7 +114,7 @@ class DepthBiasBlock(LinearDepthErrorBlock):
             n_own = self.n_own(i)
             seen = bool(np.any(obs.has_depth[obs.camera == i]) or np.any(walls.camera == i))
             free[i, :n_own] = seen and prior.held == "nothing"
-            known = None if prior.bias_is_start else prior.bias
+            known = prior.given_bias
             assumed[i, :n_own] = known is None or known.covariance is None
             if known is not None:
                 mean[i, :n_own] = known.coefficients
