@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from foreign_files import save, write_video
 from small_recording import draw_recording
 
 from rgbd_calib.errors import CalibrationError
@@ -27,16 +28,6 @@ N, HEIGHT, WIDTH = 4, 48, 64
 COLOR = RNG.integers(0, 256, (N, HEIGHT, WIDTH, 3), np.uint8)
 DEPTH = RNG.integers(1, 9000, (N, HEIGHT, WIDTH), np.uint16)
 MM = "--depth-scale", "0.001"
-
-
-def save(path: Path, image: np.ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".npy":
-        np.save(path, image)
-    elif path.suffix == ".npz":
-        np.savez(path, depth=image)
-    else:
-        assert cv2.imwrite(str(path), image)
 
 
 def same(folder: Path, camera: str = "C1", depth: np.ndarray | None = DEPTH, scale_m: float = 0.001) -> None:
@@ -201,20 +192,6 @@ def test_libfreenect2_dump(run, tmp_path):
     expected = np.rint(np.where(np.isfinite(depth), depth, np.nan))[:, ::-1] / 1000
     np.testing.assert_allclose(recording.depth_own_m("C1", "1"), expected)
     assert recording.ir("C1", "0").dtype == np.uint16 and not recording.depth_registered
-
-
-def write_video(path: Path, frames: np.ndarray, codec: str = "ffv1", pixels: str = "bgr0") -> None:
-    """A lossless video of B G R or 16-bit frames."""
-    av = pytest.importorskip("av")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with av.open(str(path), "w") as file:
-        stream = file.add_stream(codec, rate=30)
-        stream.height, stream.width = frames.shape[1:3]
-        stream.pix_fmt = pixels
-        for image in frames:
-            kind = "bgr24" if image.ndim == 3 else "gray16le"
-            file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format=kind)))
-        file.mux(stream.encode())
 
 
 def test_videos_with_folders_of_depth(run, tmp_path):

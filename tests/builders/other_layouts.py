@@ -8,8 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from april_views import GRID, photograph, pose
-from test_import_bags import bag2
-from test_import_folders import save, write_video
+from foreign_files import bag2, save, write_video
 
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.io.recording import Recording
