@@ -22,10 +22,11 @@ from rgbd_calib.io.residuals import Residuals, read_residuals_of, write_result
 from rgbd_calib.io.rig import read_boards, read_rig, write_rig
 from rgbd_calib.pipeline import fuse as fusing
 from rgbd_calib.pipeline import notebook
-from rgbd_calib.pipeline.calibrate import Calibration, reference_of
+from rgbd_calib.pipeline.calibrate import Calibration
 from rgbd_calib.pipeline.calibrate import calibrate as run_calibration
 from rgbd_calib.pipeline.calibrate_carried import calibrate_carried
 from rgbd_calib.pipeline.carried_calibration import check_possible
+from rgbd_calib.pipeline.checked_views import reference_of
 from rgbd_calib.pipeline.config import Config, Method, load_config, with_settings
 from rgbd_calib.pipeline.depth_cameras import split
 from rgbd_calib.pipeline.detection import Progress, detections_from, silent

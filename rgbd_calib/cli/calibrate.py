@@ -35,6 +35,11 @@ if TYPE_CHECKING:
 @recording_argument
 @output_option("rig.yaml (with --update: that file, if --overwrite is given)", required=False)
 @click.option(
+    "--start",
+    type=click.Choice(("given", "bundle")),
+    help="Of a method other than bundle: lenses, depth, board and first poses as given, or as the bundle finds them.  [default: given]",
+)
+@click.option(
     "--intrinsics",
     type=click.Path(path_type=Path),
     help="intrinsics.yaml, or a recording of the board close to each camera.  [default: dataset.yaml's, else from RECORDING]",
@@ -89,6 +94,7 @@ def command(
     corners: Path | None,
     lens: str | None,
     method: str | None,
+    start: str | None,
     sigma_2d: float | None,
     sigma_3d: float | None,
     reference: str | None,
@@ -115,6 +121,8 @@ def command(
       baicp+       the heuristic weight of the paper's predecessor
       init         the first poses, without refinement
 
+    All but bundle take lenses, depth and board as exact: as they are given, or, with --start bundle, as that finds them.
+
     \b
     Worlds (--world; covariances stay those of each camera against the reference, in the new axes):
       CAMERA       that camera's frame, as --reference: x right, y down, z forward
@@ -140,6 +148,7 @@ def command(
       rgbd-calib calibrate demo/extrinsic -o rig.yaml
       rgbd-calib calibrate demo/extrinsic --intrinsics demo/intrinsic --depth-bias demo/depth_bias -o full.yaml
       rgbd-calib calibrate demo/extrinsic --intrinsics intrinsics.yaml --method biobjective -o paper.yaml
+      rgbd-calib calibrate demo/extrinsic --method biobjective --start bundle -o paper2.yaml
       rgbd-calib calibrate demo/extrinsic --world floor -o on_floor.yaml
       rgbd-calib calibrate monday --update rig.yaml --only C3 -o rig2.yaml
       rgbd-calib calibrate monday --update rig.yaml --snapshot friday -o rig3.yaml
@@ -188,11 +197,15 @@ def command(
     opened = open_recording(recording)
     if world in opened.cameras and reference not in (None, world):
         raise click.UsageError(f"--world {world} and --reference {reference}: one camera only can be the world")
-    settings = load_config(config, method=method)
+    settings = load_config(config, method=method, start=start)
     if settings.method == "bundle" and not (sigma_2d is None and sigma_3d is None):
         raise ConfigError(
             "--sigma-2d, --sigma-3d: given with method bundle, which estimates the noise itself. "
             "Leave them out, or choose another --method"
+        )
+    if settings.method == "bundle" and settings.start == "bundle":
+        raise ConfigError(
+            "--start bundle: a method that starts from the bundle expected, bundle found. Leave it out, or choose another --method"
         )
     result = api.calibrate(
         opened,

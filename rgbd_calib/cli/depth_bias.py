@@ -63,11 +63,11 @@ def command(
 
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.io.rig import read_intrinsics, write_depth_bias
-    from rgbd_calib.pipeline.calibrate import provenance_of
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.depth_cameras import split
     from rgbd_calib.pipeline.detection import detections_from
     from rgbd_calib.pipeline.prepare import depth_of_recording, samples_of
+    from rgbd_calib.pipeline.provenance import provenance_of
 
     opened, settings = split(open_recording(recording)), load_config(config)
     lenses = read_intrinsics(intrinsics) if intrinsics else {}

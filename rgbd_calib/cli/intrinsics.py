@@ -57,11 +57,11 @@ def command(
     refuse_existing(output, overwrite)
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.io.rig import write_intrinsics
-    from rgbd_calib.pipeline.calibrate import provenance_of
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.depth_cameras import split
     from rgbd_calib.pipeline.detection import detections_from
     from rgbd_calib.pipeline.prepare import intrinsics_of_views
+    from rgbd_calib.pipeline.provenance import provenance_of
 
     opened, settings = split(open_recording(recording)), load_config(config, intrinsics__lens=lens)
     found = detections_from(opened, corners, settings.detect, workers, progress)

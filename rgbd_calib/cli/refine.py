@@ -59,9 +59,11 @@ def command(
 
     from rgbd_calib.io.correspondences import read_correspondences
     from rgbd_calib.io.rig import write_rig
-    from rgbd_calib.pipeline.calibrate import provenance_of, reference_of, refine_correspondences
+    from rgbd_calib.pipeline.checked_views import reference_of
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.prepare import given_intrinsics
+    from rgbd_calib.pipeline.provenance import provenance_of
+    from rgbd_calib.pipeline.refine_correspondences import refine_correspondences
     from rgbd_calib.pipeline.summary import numbers_of
     from rgbd_calib.report.numbers import verdict_of
 

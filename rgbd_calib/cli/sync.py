@@ -95,9 +95,9 @@ def command(
         return
     assert rig is not None
     from rgbd_calib.io.rig import read_rig, write_timing
-    from rgbd_calib.pipeline.calibrate import provenance_of
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.detection import detections_from
+    from rgbd_calib.pipeline.provenance import provenance_of
     from rgbd_calib.pipeline.sync import sync
     from rgbd_calib.quality import Quality
 

@@ -38,10 +38,10 @@ def update(
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.io.rig import read_rig, write_rig
     from rgbd_calib.io.rig_update import write_update
-    from rgbd_calib.pipeline.calibrate import provenance_of
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.depth_cameras import split
     from rgbd_calib.pipeline.detection import detections_from
+    from rgbd_calib.pipeline.provenance import provenance_of
     from rgbd_calib.pipeline.update import update_camera
     from rgbd_calib.pipeline.world import rig_in_world
 
@@ -90,8 +90,8 @@ def _by_snapshot(
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.io.rig import read_rig
     from rgbd_calib.io.rig_update import write_updates
-    from rgbd_calib.pipeline.calibrate import provenance_of
     from rgbd_calib.pipeline.config import load_config
+    from rgbd_calib.pipeline.provenance import provenance_of
     from rgbd_calib.pipeline.snapshot import corrected_by, verify_snapshot
     from rgbd_calib.trust.snapshot import SnapshotParams
 

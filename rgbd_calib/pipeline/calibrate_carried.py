@@ -12,10 +12,13 @@ from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.residuals import Residuals
 from rgbd_calib.pipeline import details
-from rgbd_calib.pipeline.calibrate import Calibration, Views, provenance_of, reference_of, rig_of_bundle
+from rgbd_calib.pipeline.calibrate import Calibration
 from rgbd_calib.pipeline.carried_calibration import CarriedSolution, clock_quality, solve_carried
+from rgbd_calib.pipeline.checked_views import Views, reference_of
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
+from rgbd_calib.pipeline.estimators import rig_of_bundle
+from rgbd_calib.pipeline.provenance import provenance_of
 from rgbd_calib.pipeline.quality import bundle_quality, with_views
 from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.quality import ExpectedAlignment, SelfCheck
@@ -53,7 +56,7 @@ def calibrate_carried(
     named = tuple(replace(p, view=replace(p.view, frame=frame_name(p))) for p in own.placed)
     association = replace(own.start.association, views=own.placed)
     views = Views(detections, own.lenses, own.depth, own.filtered, association)
-    data = correspond(named, board, own.lenses.intrinsics, own.depth.biases, cameras)
+    data = correspond(named, board, views.given)
     residuals, joint = details.residuals_of_bundle(solved, board), details.joint_of_bundle(solved)
     with_depth = [name for name in cameras if recording.depth_files[name]]
     corners_m = np.concatenate([se3.transform(T, board.corners_m()) for T in boards.values()])

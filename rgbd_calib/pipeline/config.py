@@ -37,6 +37,8 @@ class Config:
     """Settings of the whole calibration, a section for each stage."""
 
     method: Method = "bundle"
+    start: Literal["given", "bundle"] = "given"
+    """Where another method than the bundle has lenses, depth, board and first poses from: as they are known before, or the bundle."""
     reference: str | None = None
     """Camera whose frame is the world; None: the first of dataset.yaml."""
     seed: int = 0

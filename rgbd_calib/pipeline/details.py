@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Callable, Mapping, Sequence
 
-import cv2
 import numpy as np
-import scipy
 
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import camera as lens
@@ -20,18 +17,12 @@ from rgbd_calib.rig.blocks import Scope
 from rgbd_calib.rig.initialization import InitializationParams, initialize
 from rgbd_calib.rig.solution import Solution
 from rgbd_calib.trust.uncertainty import JointCovariance, expected_alignment, volume
-from rgbd_calib.types import Board, Correspondences, PlacedView, Rig
+from rgbd_calib.types import Board, Correspondences, PlacedView, Rig, RigCamera
 from rgbd_calib.views.corner_points import corner_points
 from rgbd_calib.views.correspondence import correspond
 
 GRID = 9
 """Points along each side of the working volume: 729 lines at most in a rig file."""
-
-
-def versions() -> dict[str, str]:
-    """Of what the numbers depend on."""
-    numeric = {"numpy": np.__version__, "scipy": scipy.__version__, "opencv": cv2.__version__}
-    return {"python": platform.python_version(), **numeric}
 
 
 def joint_of_bundle(solved: Solution) -> JointCovariance:
@@ -83,7 +74,9 @@ def starting_rig(
 ) -> StartingRig:
     """The rig before: first poses from depth as measured, intrinsics as given; what the fused cloud would look like."""
     try:
-        data = correspond(views, board, dict(intrinsics), {}, list(intrinsics))
+        data = correspond(
+            views, board, {c: RigCamera(own, np.eye(4), np.zeros((6, 6))) for c, own in intrinsics.items()}
+        )
         poses, how = initialize(data, dict(intrinsics), reference, params).T_world_color, "initialisation"
     except CalibrationError:
         poses, how = dict(rough), "single views of the board"

@@ -25,7 +25,7 @@ from rgbd_calib.rig.solution import Solution
 from rgbd_calib.types import PlacedView
 
 if TYPE_CHECKING:
-    from rgbd_calib.pipeline.calibrate import Views
+    from rgbd_calib.pipeline.checked_views import Views
 
 
 def initial_quality(start: InitializationResult, refined: RefinementResult | None = None) -> Quality:

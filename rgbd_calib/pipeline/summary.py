@@ -33,7 +33,7 @@ def course(quality: Quality) -> list[str]:
         for name, frames in (reasons or {}).items():
             lines += [f"{name}: frame {frame} {what}: {why}" for frame, why in frames.items()]
     lines += merged(quality.not_observable or (), list(images))
-    if quality.status is not None:
+    if quality.message is not None:
         lines.append(f"{quality.method}: {quality.message}")
     return lines
 
@@ -55,8 +55,9 @@ def block(
     lines = []
     expected, measured = quality.expected_alignment, quality.measured
     if expected is not None:
+        least = "at least " if expected.lower_bound else ""
         lines.append(
-            f"Expected error: {expected.mean_mm:.2f} mm in the mean, 95 % of the volume below {expected.p95_mm:.2f} mm"
+            f"Expected error: {least}{expected.mean_mm:.2f} mm in the mean, 95 % of the volume below {expected.p95_mm:.2f} mm"
         )
     if truth is not None:
         own = truth.all

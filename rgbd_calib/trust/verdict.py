@@ -125,7 +125,7 @@ def judge(
         )
         reasons.append(Reason(f"{text}mean over the working volume", levels[-1]))
         if expected.lower_bound:
-            text = "That counts the poses alone, intrinsics and depth taken as exact: the real error is larger. The method "
+            text = "That counts the poses alone, lenses, depth and board taken as exact: the real error is larger. The method "
             reasons.append(Reason(f"{text}`bundle` counts all of them"))
     elif by_depth_mm is not None:
         levels.append("fair")

@@ -6,7 +6,7 @@ import pytest
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.rig import read_rig
-from rgbd_calib.pipeline.calibrate import reference_of
+from rgbd_calib.pipeline.checked_views import reference_of
 from rgbd_calib.pipeline.config import Config
 
 

@@ -79,6 +79,29 @@ def test_from_nothing_but_the_recording(run, three, tmp_path):
         assert camera.depth_bias is not None, name
 
 
+@pytest.mark.parametrize("method", ["ba", "biobjective"])
+def test_the_papers_methods_with_lenses_depth_and_board_of_the_bundle(run, three, tmp_path, method):
+    """The depth is biased, which without a bias recording only the bundle finds out."""
+    rig = {
+        start: calibrated(run, three, tmp_path / f"{start}.yaml", "--method", method, "--start", start, given=False)
+        for start in ("given", "bundle")
+    }
+    bundle = calibrated(run, three, tmp_path / "rig.yaml", given=False)
+    for name, own in rig["bundle"].cameras.items():
+        assert own.intrinsics == bundle[name].intrinsics != rig["given"][name].intrinsics
+        assert own.depth_bias.coefficients == bundle[name].depth_bias.coefficients
+        assert rig["given"][name].depth_bias is None
+    assert alignment_mm(rig["bundle"], three) < MAX_MM["bundle"] < alignment_mm(rig["given"], three)
+    assert rig["bundle"].quality.message.endswith("lenses, depth and board of the bundle, taken as exact")
+    assert rig["given"].quality.message.endswith("lenses, depth and board as given, taken as exact")
+
+
+def test_the_bundle_does_not_start_from_itself(run, three, tmp_path):
+    out = run("calibrate", three.path, "--corners", three.corners, "--start", "bundle", "-o", tmp_path / "rig.yaml")
+    assert out.status != 0
+    assert "--start bundle" in out.stderr
+
+
 @pytest.mark.parametrize("method", ["biobjective", "bundle"])
 @pytest.mark.parametrize("colour_only", ["C1", "C2"])
 def test_a_camera_with_colour_only(run, tmp_path, method, colour_only):

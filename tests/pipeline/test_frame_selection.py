@@ -10,7 +10,7 @@ from synthetic_views import BOARD, arc, make_recording
 
 from rgbd_calib.io.rig import read_rig
 from rgbd_calib.pipeline import frame_selection
-from rgbd_calib.pipeline.calibrate import prepare_views
+from rgbd_calib.pipeline.checked_views import prepare_views
 from rgbd_calib.pipeline.config import load_config
 from rgbd_calib.pipeline.detection import Detections
 from rgbd_calib.pipeline.evaluate import against_truth
