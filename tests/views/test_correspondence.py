@@ -33,12 +33,6 @@ def noise_free(rig: Rig, board: Board, frames: int = 8, seed: int = 0):
     return boards, placed_truly(rig, boards, true_views(rig, boards, board, EXACT, rng), board)
 
 
-def matched(rig: Rig, placed, board: Board):
-    lenses = {name: own.intrinsics for name, own in rig.cameras.items()}
-    biases = {name: own.depth_bias for name, own in rig.cameras.items() if own.depth_bias is not None}
-    return correspond(placed, board, lenses, biases, list(rig.cameras))
-
-
 def check_exact(rig: Rig, boards, data, board: Board) -> None:
     """Pixels and points are those of the front's corners, whoever saw them from which side."""
     front = board.corners_m()
@@ -57,7 +51,7 @@ def check_exact(rig: Rig, boards, data, board: Board) -> None:
 def test_thickness_is_carried(rig):
     boards, placed = noise_free(rig, THICK)
     assert {p.back for p in placed} == {False, True}
-    data = matched(rig, placed, THICK)
+    data = correspond(placed, THICK, rig.cameras)
     assert len(data.pixels_px) == len(data.xyz_m) > 200
     check_exact(rig, boards, data, THICK)
 
@@ -66,7 +60,7 @@ def test_without_the_thickness_opposed_cameras_disagree_by_it():
     """Negative control."""
     rig = around([0.0, 180.0])
     _, placed = noise_free(rig, THICK, 1)
-    data = matched(rig, placed, replace(THICK, thickness_m=0.0))
+    data = correspond(placed, replace(THICK, thickness_m=0.0), rig.cameras)
     own = [rig.cameras[n].T_world_color for n in rig.cameras]
     seen = [
         {
@@ -85,7 +79,7 @@ def test_half_turned_views_give_the_same_points():
     some = [
         replace(p, view=half_turned(p.view, EVEN_BOARD), turned=True) if i % 3 == 1 else p for i, p in enumerate(placed)
     ]
-    check_exact(rig, boards, matched(rig, some, EVEN_BOARD), EVEN_BOARD)
+    check_exact(rig, boards, correspond(some, EVEN_BOARD, rig.cameras), EVEN_BOARD)
 
 
 def test_frames_of_one_camera_and_corners_of_one_camera_are_left_out():
@@ -93,7 +87,7 @@ def test_frames_of_one_camera_and_corners_of_one_camera_are_left_out():
     _, placed = noise_free(rig, BOARD, 3)
     frames = sorted({p.view.frame for p in placed})
     alone = [p for p in placed if p.view.frame != frames[0] or p.view.camera == "C1"]
-    data = matched(rig, alone, BOARD)
+    data = correspond(alone, BOARD, rig.cameras)
     assert {frame for frame, _ in data.labels} == set(frames[1:])
     # halves of the board that have 18 corners in common
     part = []
@@ -101,7 +95,7 @@ def test_frames_of_one_camera_and_corners_of_one_camera_are_left_out():
         ids = np.arange(36) if p.view.camera == "C1" else np.arange(18, 54)
         view = replace(p.view, ids=ids, corners_px=p.view.corners_px[ids], depth_m=p.view.depth_m[ids])
         part.append(replace(p, view=view))
-    data = matched(rig, part, BOARD)
+    data = correspond(part, BOARD, rig.cameras)
     assert len(data.pixels_px) == 3 * 2 * 18
 
 
@@ -109,7 +103,7 @@ def test_missing_depth_is_a_pixel_alone():
     rig = arc(3)
     boards, placed = noise_free(rig, BOARD, 4)
     placed = [replace(p, view=without_depth(p.view)) if p.view.camera == "C2" else p for p in placed]
-    data = matched(rig, placed, BOARD)
+    data = correspond(placed, BOARD, rig.cameras)
     assert set(data.xyz_camera.tolist()) == {0, 2}
     assert set(data.pixel_camera.tolist()) == {0, 1, 2}
     check_exact(rig, boards, data, BOARD)
@@ -118,7 +112,7 @@ def test_missing_depth_is_a_pixel_alone():
 def test_nothing_in_common_is_no_correspondence():
     rig = arc(2)
     _, placed = noise_free(rig, BOARD, 2)
-    data = matched(rig, [p for p in placed if p.view.camera == "C1"], BOARD)
+    data = correspond([p for p in placed if p.view.camera == "C1"], BOARD, rig.cameras)
     assert data.pixels_px.shape == (0, 2)
     assert data.xyz_m.shape == (0, 3)
     assert data.labels == ()
