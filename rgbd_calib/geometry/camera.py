@@ -25,9 +25,6 @@ LensKind = Literal["brown", "rational", "fisheye"]
 LENS_KINDS: tuple[LensKind, ...] = ("brown", "rational", "fisheye")
 """OpenCV's five coefficients, its eight, and the four of its fisheye."""
 
-N_INTRINSICS = 9
-"""Length of the vector fx, fy, cx, cy, k1, k2, p1, p2, k3 of the default lens."""
-
 _NEWTON_STEPS = 50
 _CONVERGED = 1e-9
 _RADII = np.concatenate([np.linspace(0, 2, 1024)[1:], np.geomspace(2, 60, 512)[1:]])

@@ -10,7 +10,7 @@ import re
 import shlex
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from rgbd_calib.errors import ConfigError
@@ -363,10 +363,3 @@ def _given(root: Path, given: Mapping[Kind, str], look: Callable[[Path], Sniffed
                 text = patterns.by_kind()[kind] or ""
                 streams[kind][camera] = Stream(text.replace(CAMERA, braced(camera)), relative, looks)
     return Guess(streams, patterns)
-
-
-def with_kinds(guess: Guess, kinds: Sequence[Kind]) -> Guess:
-    """The same without the streams of other kinds."""
-    own = guess.patterns.by_kind()
-    patterns = FilePatterns(own["color"] or "", *(own[kind] if kind in kinds else None for kind in ("depth", "ir")))
-    return replace(guess, streams={k: s if k in kinds else {} for k, s in guess.streams.items()}, patterns=patterns)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
@@ -119,11 +119,6 @@ def as_plain(config: Config) -> dict[str, Any]:
     plain = asdict(config)
     del plain["refinement"]["method"]  # follows `method`
     return plain
-
-
-def with_method(config: Config, method: Method) -> Config:
-    """The same settings for another estimator."""
-    return replace(config, method=method)
 
 
 def _check_keys(section: type, data: Any, path: Path | None, place: tuple[str, ...]) -> None:

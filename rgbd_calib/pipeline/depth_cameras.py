@@ -27,7 +27,6 @@ from rgbd_calib.views.detect import corner_depth
 
 MIN_CORNERS = 6
 """Corners inside the depth image; a plane is determined by three."""
-NO_COVARIANCE = np.zeros((6, 6))
 PairNumbers = TypeVar("PairNumbers", ExpectedPair, AlignmentNumbers)
 
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -94,6 +93,7 @@ def reweighted(problem: Problem, state: State, covariance: Covariance) -> Weight
         factors.append(factor)
         before2 = old.parts(kind)[1][:, None] ** 2
         ratios.append(_ratios(in_squares[part] / factor[obs.camera], dims[part] - absorbed[part] / before2, names))
+    distance_factor, robust_distance = _distance_weights(problem, state, covariance)
     new = replace(
         old,
         sigma_2d_px=old.sigma_2d_px * np.sqrt(factors[0]),
@@ -102,7 +102,8 @@ def reweighted(problem: Problem, state: State, covariance: Covariance) -> Weight
         ratio_depth=ratios[1],
         sizes=_sizes(problem, state, covariance),
         wall_bend=_bends(problem, state, covariance),
-        **_distance_weights(problem, state, covariance),
+        distance_factor=distance_factor,
+        robust_distance=robust_distance,
     )
     return _robust(problem, state, new, pixel, depth)
 
@@ -151,17 +152,17 @@ def _sizes(problem: Problem, state: State, covariance: Covariance) -> dict[str, 
     return sizes
 
 
-def _distance_weights(problem: Problem, state: State, covariance: Covariance) -> dict[str, Any]:
+def _distance_weights(problem: Problem, state: State, covariance: Covariance) -> tuple[float, FloatArray]:
     """How good the walls' distances turn out to be, as a variance component, and which of them are slips of the pen."""
     walls, old = problem.setup.walls, problem.weights
     if not walls.n:
-        return {}
+        return old.distance_factor, old.robust_distance
     t = state.walls.values[:, 0] / walls.sd_m
     left = covariance.of_units[-walls.n :, 0, 0] / walls.sd_m**2
     told = max(float(np.sum(1 - old.robust_distance * left / old.distance_factor**2)), 0.0)
     factor2 = (DISTANCE_DOF + float(np.sum(old.robust_distance * t**2))) / (DISTANCE_DOF + told)
     robust = huber(t[:, None, None] / np.sqrt(factor2), DISTANCE_SIGMAS)[:, 0]
-    return {"distance_factor": float(np.sqrt(factor2)), "robust_distance": robust}
+    return float(np.sqrt(factor2)), robust
 
 
 def _bends(problem: Problem, state: State, covariance: Covariance) -> FloatArray:

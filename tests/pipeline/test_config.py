@@ -8,7 +8,7 @@ import pytest
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.files import dump_yaml, load_yaml
-from rgbd_calib.pipeline.config import Config, as_plain, load_config, with_method
+from rgbd_calib.pipeline.config import Config, as_plain, load_config
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def test_precedence(written):
             "association: {max_angel_rad: 0.1}",
             "association.max_angel_rad: no such setting. Did you mean 'association.max_angle_rad'?",
         ),
-        ("zebra: 1", "zebra: no such setting. Known: method, reference, seed"),
+        ("zebra: 1", "zebra: no such setting. Known: method, start, reference, seed"),
         ("association: 3", "association: 3 seen, a section of keys needed"),
         ("method: magic", "method: 'magic' seen; Input should be 'init', 'ba'"),
         ("seed: many", "seed: 'many' seen"),
@@ -77,9 +77,3 @@ def test_what_was_resolved_can_be_loaded_again(tmp_path):
     path.write_text(dump_yaml(as_plain(config)))
     assert load_config(path) == config
     assert "sigma_3d_m" in load_yaml(path)["refinement"]  # defaults are written out
-
-
-def test_another_method_keeps_the_rest():
-    config = load_config(None, seed=4)
-    assert with_method(config, "ba").method == "ba"
-    assert with_method(config, "ba").seed == 4

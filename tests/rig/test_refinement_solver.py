@@ -183,6 +183,6 @@ def test_solver_says_why_it_stopped():
     data, K, start, _ = make(np.random.default_rng(4), 2)
     problem = problems.build(data, K, start, "C1", RefinementParams())
     for tolerance, limit, status in ((1e-10, 1, "iteration_limit"), (1e-10, 100, "converged")):
-        out = solver.minimise(problem.terms, problem.start, False, tolerance, limit)
+        out = solver.minimize(problem.terms, problem.start, False, tolerance, limit)
         assert out.status == status
         assert out.message

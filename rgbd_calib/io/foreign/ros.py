@@ -25,7 +25,6 @@ from rgbd_calib.io.foreign.source import Kind, Source, SourceCamera, SourceImage
 
 DEPTH_SCALE = 0.001
 _MAX_FRAMES = 1000
-_MAX_SECONDS = 4_000_000_000
 
 
 class RosBag(Source):

@@ -66,7 +66,7 @@ def alternate(
         weights = _baicp_weights(problem, params) if params.method == "baicp+" else sigmas
         for term, sigma in zip(problem.terms, weights, strict=True):
             term.set_sigmas(sigma)
-        minimum = solver.minimise(
+        minimum = solver.minimize(
             problem.terms, state, params.method == "ba", params.cost_tolerance, params.max_iterations
         )
         state = minimum.state

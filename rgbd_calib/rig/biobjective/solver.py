@@ -66,7 +66,7 @@ def evaluate(terms: Sequence[Term], state: RefinementState) -> float:
     )
 
 
-def minimise(
+def minimize(
     terms: Sequence[Term], start: RefinementState, free_scale: bool, tolerance: float, max_iterations: int
 ) -> RefinementMinimum:
     """Least cost from a start with finite cost; camera 0 stays where it is.

@@ -47,8 +47,6 @@ _MAD = 1.4826
 _CELLS = (5, 4)
 _LEAST_PX = 0.03
 _ROUNDS, _STEPS = 8, 3
-_GATE_M = 0.05
-"""Patches farther off are no part of the scale's estimate."""
 _GATE_PX = 4.0
 
 
