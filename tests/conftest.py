@@ -28,6 +28,11 @@ settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest test first: begun last, it would keep one process busy while the others have nothing left."""
+    items.sort(key=lambda item: item.name != "test_every_printed_command_ends_as_it_says")
+
+
 @dataclass(frozen=True)
 class Outcome:
     """What a command left behind: its exit status, and what it printed."""

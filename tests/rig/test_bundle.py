@@ -149,7 +149,7 @@ def test_the_minimum_is_that_of_scipy() -> None:
 
 
 def test_the_covariance_of_the_poses_is_honest() -> None:
-    seeds, values = 40, []
+    seeds, values = 24, []
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         rig = sv.arc(3, biased=True)
@@ -160,9 +160,9 @@ def test_the_covariance_of_the_poses_is_honest() -> None:
             at.append(result.index("pose", name))
         e, index = np.concatenate(error), np.concatenate(at)
         values.append(e @ np.linalg.solve(result.covariance[np.ix_(index, index)], e) / len(e))
-    # chi^2 with 12 degrees of freedom over 40 seeds: standard error sqrt(2 / 12 / 40) = 0.065, 4 of them, and 0.1 for
+    # chi^2 with 12 degrees of freedom over 24 seeds: standard error sqrt(2 / 12 / 24) = 0.083, 4 of them, and 0.1 for
     # the weights, which are estimated from a few hundred residuals
-    assert abs(np.mean(values) - 1) < 0.36
+    assert abs(np.mean(values) - 1) < 0.43
 
 
 def test_depth_noise_that_is_smooth_over_the_board_is_seen_and_counted() -> None:
