@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -10,18 +11,19 @@ import numpy as np
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.simulation.faults.common import Fault, Rng, change_views, named, second_camera
-from rgbd_calib.simulation.session import Session, TrueScene, film, reprinted
+from rgbd_calib.simulation.poses import looks_at_back
+from rgbd_calib.simulation.session import Session, TrueScene, film, film_close, reprinted
 from rgbd_calib.simulation.views import true_views
-from rgbd_calib.types import Board, BoardView
+from rgbd_calib.types import Board, BoardShape, BoardView
 
 
 @dataclass(frozen=True)
 class Misshapen(Board):
     """A board whose corners are not where they should be."""
 
-    wrong: Literal["bow", "s", "stretch"] = "bow"
+    wrong: Literal["bow", "s", "stretch", "shear", "corner"] = "bow"
     by: float = 0.0
-    """Metres between the lowest and the highest corner, or a share of the width."""
+    """Metres between the lowest and the highest corner, a share of the width, radians, or metres of one corner."""
 
     def corners_m(self, back: bool = False) -> FloatArray:
         """Corners (cols * rows, 3), as they are."""
@@ -30,12 +32,17 @@ class Misshapen(Board):
         y = 2 * p[:, 1] / ((self.rows - 1) * self.square_m) - 1
         if self.wrong == "stretch":
             return p * [1 + self.by, 1.0, 1.0]
+        if self.wrong == "shear":
+            return p + np.outer(self.by * p[:, 1], [1.0, 0.0, 0.0])
+        if self.wrong == "corner":
+            p[self.cols + 2, 0] += self.by
+            return p
         z = x**2 if self.wrong == "bow" else (x**3 - x) / 0.77 * np.cos(np.pi * y / 2)
         p[:, 2] += self.by * z
         return p
 
 
-def _misshapen(board: Board, wrong: Literal["bow", "s", "stretch"], by: float) -> Misshapen:
+def _misshapen(board: Board, wrong: Literal["bow", "s", "stretch", "shear", "corner"], by: float) -> Misshapen:
     fields = {name: getattr(board, name) for name in Board.__dataclass_fields__}
     return Misshapen(**fields, wrong=wrong, by=by)
 
@@ -146,3 +153,64 @@ def _row_too_few(scene: TrueScene, rng: Rng) -> Session:
     assert session.close is not None
     some = [tuple(cut(v) for v in views if rng.random() < 1 / 8) for views in (session.views, session.close)]
     return replace(session, views=some[0], close=some[1])
+
+
+named("print sheared by 0.5 deg")(
+    lambda scene, rng: film(replace(scene, board=_misshapen(scene.board, "shear", np.radians(0.5))), rng, scene.board)
+)
+named("one corner of the print 4 mm off")(
+    lambda scene, rng: film(replace(scene, board=_misshapen(scene.board, "corner", 0.004)), rng, scene.board)
+)
+named("board bent by 8 mm")(
+    lambda scene, rng: film(replace(scene, board=_misshapen(scene.board, "bow", 0.008)), rng, scene.board)
+)
+
+
+@named("board bent by 3 mm in the intrinsic recording only")
+def _leaning(scene: TrueScene, rng: Rng) -> Session:
+    bent = replace(scene, board=_misshapen(scene.board, "bow", 0.003))
+    return replace(film(scene, rng), close=film_close(bent, rng))
+
+
+def _sees_back(scene: TrueScene, view: BoardView, T_world_board: FloatArray) -> bool:
+    T = se3.inverse(scene.rig.cameras[view.camera].T_world_color) @ T_world_board
+    return bool(looks_at_back(T, scene.board))
+
+
+@named("the back glued upside down", ring=True)
+def _glued(scene: TrueScene, rng: Rng) -> Session:
+    session, close = film(scene, rng), {f: T for own in scene.close.values() for f, T in own.items()}
+    assert session.close is not None
+
+    def turned(view: BoardView, boards: Mapping[str, FloatArray]) -> BoardView:
+        return _half_turned(view, scene.board) if _sees_back(scene, view, boards[view.frame]) else view
+
+    return replace(
+        session,
+        views=tuple(turned(v, scene.boards) for v in session.views),
+        close=tuple(turned(v, close) for v in session.close),
+    )
+
+
+@named("the back's print 5 mm beside the front's", ring=True)
+def _beside(scene: TrueScene, rng: Rng) -> Session:
+    r, c = np.divmod(np.arange(scene.board.n_corners), scene.board.cols)
+    front, back = scene.board.corners_m(), scene.board.corners_m(back=True)
+    behind = np.empty_like(back)
+    behind[r * scene.board.cols + scene.board.cols - 1 - c] = back
+    shaped = replace(scene.board, shape=BoardShape(front, behind + [0.004, -0.003, 0.0]))
+    return film(replace(scene, board=shaped), rng)
+
+
+@named("thickness stated ten times too large", ring=True)
+def _thick(scene: TrueScene, rng: Rng) -> Session:
+    return film(scene, rng, replace(scene.board, thickness_m=10 * scene.board.thickness_m))
+
+
+@named("the last third of the frames with another board, squares 2 % smaller")
+def _two_prints(scene: TrueScene, rng: Rng) -> Session:
+    small = replace(scene.board, square_m=0.98 * scene.board.square_m, shape=None)
+    late = list(scene.boards)[-(len(scene.boards) // 3) :]
+    session = film(scene, rng)
+    other = true_views(scene.rig, {f: scene.boards[f] for f in late}, small, scene.noise, rng)
+    return replace(session, views=(*(v for v in session.views if v.frame not in late), *other))
