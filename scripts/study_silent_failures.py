@@ -48,8 +48,6 @@ from rgbd_calib.views.detect import DetectParams
 STATED_FACTOR, FLOOR_MM = 2.0, 1.0
 REALISTIC = Realism()
 
-REALISTIC = Realism()
-
 
 @dataclass(frozen=True)
 class Row:

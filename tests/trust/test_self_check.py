@@ -352,6 +352,16 @@ def view(frame: str, camera: str = "C1", shift: float = 0.0, depth: float = 2.0)
     return replace(v, camera=camera, corners_px=v.corners_px + shift, depth_m=np.full(len(v.ids), depth))
 
 
+@pytest.mark.parametrize("distance_m", [0.5, 2.0, 6.0])
+def test_the_same_error_counts_by_the_distance_at_which_it_is(distance_m):
+    limits = SelfCheckParams().at(distance_m)
+    own = {"C1": ResidualNoise(0.1, 1e-3, apart_px_mm=6e-3 * 1e3 * distance_m)}
+    assert [f.level for f in check_noise(own, limits, 0.0)] == ["caution"]
+    assert limits.caution_mm == pytest.approx(0.5 * distance_m)
+    assert limits.distrust_mm == pytest.approx(1.5 * distance_m)
+    assert limits.max_sigma_px == SelfCheckParams().max_sigma_px  # pixels are pixels at any distance
+
+
 def test_checks_without_equations():
     assert check_votes([(("C1", "C2"), 10, 6, None)], True, PARAMS) == []
     (found,) = check_votes([(("C1", "C2"), 10, 4, None)], False, PARAMS)

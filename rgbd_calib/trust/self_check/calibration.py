@@ -97,6 +97,7 @@ def check_bundle(
     """
     held = held_blocks(solved.problem)
     eq = equations_of(solved, held, frames_in_time)
+    params = params.at(usual_distance_m(eq))
     tests = outcomes_of(eq, solved.problem, held, params)
     errors, explained = findings_of(eq, tests, params, stated_mm)
     noise = noise_of_bundle(solved, eq)

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from rgbd_calib.quality import Finding as Finding
 from rgbd_calib.quality import Level as Level
 from rgbd_calib.quality import SelfCheck as SelfCheck
 from rgbd_calib.views.depth_scale import CLIPPED_SHARE, CLIPPED_WIDTH
 
+LIMITS_AT_M = 2.0
+_IN_PROPORTION = ("caution_mm", "distrust_mm", "max_apart_mm", "bad_apart_mm")
+
 
 @dataclass(frozen=True)
 class SelfCheckParams:
-    """When a deviation is worth a sentence: significant, and large enough to matter."""
+    """When a deviation is worth a sentence: significant, and large enough to matter.
+
+    Limits in mm are those of a working distance of `LIMITS_AT_M`; of others they are in proportion (:meth:`at`).
+    """
 
     significance: float = 1e-3
     """Chance of a false alarm in a recording whose errors are as the model says, shared evenly among all tests of the
@@ -61,3 +67,9 @@ class SelfCheckParams:
 
     max_clipped_share: float = CLIPPED_SHARE
     clipped_width: float = CLIPPED_WIDTH
+
+    def at(self, distance_m: float) -> SelfCheckParams:
+        """With the limits in mm of this working distance, metres, in place of those of `LIMITS_AT_M`."""
+        share = distance_m / LIMITS_AT_M
+        scaled = {name: share * getattr(self, name) for name in _IN_PROPORTION}
+        return replace(self, **scaled)
