@@ -323,33 +323,37 @@ class Covariance:
     of_globals: FloatArray
     """(P, P)."""
 
-    def cross(self, units: IntArray) -> FloatArray:
-        """Cov of the globals and of units (n,), (n, P, D)."""
+    def cross(self, units: IntArray, columns: IntArray | None = None) -> FloatArray:
+        """Cov of the globals, or some of them (k,), and of units (n,): (n, k, D)."""
         own = self.equations.pattern
-        out = np.empty((len(units), own.n_globals, own.size))
+        of_globals = self.of_globals if columns is None else self.of_globals[columns]
+        out = np.empty((len(units), len(of_globals), own.size))
         for g in np.unique(own.group[units]):
             mine = np.flatnonzero(own.group[units] == g)
             WV = self.equations.WV[g][own.place[units[mine]]]  # (n, p, D)
-            flat = self.of_globals[:, own.columns[g]] @ WV.transpose(1, 0, 2).reshape(WV.shape[1], -1)
-            out[mine] = -flat.reshape(own.n_globals, len(mine), own.size).transpose(1, 0, 2)
+            flat = of_globals[:, own.columns[g]] @ WV.transpose(1, 0, 2).reshape(WV.shape[1], -1)
+            out[mine] = -flat.reshape(len(of_globals), len(mine), own.size).transpose(1, 0, 2)
         return out
+
+    @cached_property
+    def _carried(self) -> tuple[FloatArray, ...]:
+        """Covariance of the globals times W V^-1, by group."""
+        columns = self.equations.pattern.columns
+        return tuple(self.of_globals[np.ix_(at, at)] @ WV for WV, at in zip(self.equations.WV, columns, strict=True))
 
     @cached_property
     def of_units(self) -> FloatArray:
         """(F, D, D)."""
         eq = self.equations
         out = eq.V_inv.copy()
-        for WV, units, at in zip(eq.WV, eq.pattern.units, eq.pattern.columns, strict=True):
-            out[units] += WV.transpose(0, 2, 1) @ (self.of_globals[np.ix_(at, at)] @ WV)
+        for WV, carried, units in zip(eq.WV, self._carried, eq.pattern.units, strict=True):
+            out[units] += WV.transpose(0, 2, 1) @ carried
         return out
 
     def trace(self, part: NormalEquations) -> float:
         """tr(J Cov J') of the rows behind other normal equations of the same pattern."""
-        eq = self.equations
         total = float(np.sum(self.of_globals * part.U) + np.sum(self.of_units * part.V))
-        for W, WV, at in zip(part.W, eq.WV, eq.pattern.columns, strict=True):
-            total -= 2 * float(np.sum((self.of_globals[np.ix_(at, at)] @ WV) * W))
-        return total
+        return total - 2 * sum(float(np.vdot(own, W)) for own, W in zip(self._carried, part.W, strict=True))
 
 
 def reduced_information(rows: Iterable[Rows], columns: IntArray) -> FloatArray:

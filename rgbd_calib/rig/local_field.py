@@ -33,8 +33,10 @@ BANDS = 12
 """Of spatial frequency: the spectrum is smooth."""
 LEAST_SEEN = 0.5
 """Share of the walls in which a cell must be seen."""
-ROUNDS = 400
-"""Of expectation and maximisation."""
+ROUNDS = 2000
+"""Of expectation and maximisation, at most."""
+TOLERANCE = 1e-7
+"""Change of the sizes, of the largest, that ends them: they shrink by a few per cent a round, towards 1e-5 of what they are."""
 FILLINGS = 8
 """Rounds in which cells that were not seen take what the pattern has there."""
 
@@ -136,14 +138,16 @@ def _spectra(
     for _ in range(ROUNDS):
         carried = sizes @ A.T  # (bands, powers, walls)
         own = noise[:, None] * of_wall
+        last = sizes
         gain = carried @ np.linalg.inv(A @ carried + own[:, :, None] * np.eye(len(A)))
         posterior, off = sizes - gain @ A @ sizes, np.eye(len(A)) - A @ gain
-        left = np.einsum("bij,bjk,bik->bi", off, products, off, optimize=True) / share_known
-        left += np.einsum("wp,bpq,wq->bw", A, posterior, A, optimize=True)
+        left = np.sum((off @ products) * off, axis=2) / share_known + np.sum((A @ posterior) * A, axis=2)
         sizes = shrunk[:, None, None] * (gain @ products @ gain.transpose(0, 2, 1) + posterior)
         noise = np.mean(left / of_wall, axis=1)
         of_wall = share @ (left / noise[:, None])
         of_wall /= of_wall.mean()
+        if np.abs(sizes - last).max() < TOLERANCE * np.abs(sizes).max():
+            break
     return sizes, noise, of_wall, posterior
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from rgbd_calib.geometry.linear import Covariance, IntArray, Rows
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import Kind
 from rgbd_calib.rig.problem import Problem, State
+from rgbd_calib.rig.sight import Look
 from rgbd_calib.rig.weights import N_DEPTH, N_PIXEL
 
 N_PARTS = N_PIXEL + N_DEPTH
@@ -38,13 +40,29 @@ class PoseRows:
             of_units.append(by_globals @ cross + by_units @ own)
         return np.concatenate(of_globals, axis=1), np.concatenate(of_units, axis=1)
 
+    def absorbed(self, covariance: Covariance, camera: IntArray) -> FloatArray:
+        """Variance of the parts by that of the unknowns, (V, parts); views of one `camera` (V,) touch the same globals."""
+        out = np.zeros(self.residual.shape)
+        for c in np.unique(camera):
+            mine = np.flatnonzero(camera == c)
+            columns = np.flatnonzero(self.of_globals[mine].any(axis=(0, 1)))
+            C = covariance.of_globals[np.ix_(columns, columns)]
+            for part in (slice(0, N_PIXEL), slice(N_PIXEL, N_PARTS)):
+                units, by_units = self.units[mine, part.start], self.of_units[mine, part]
+                by_globals = self.of_globals[mine, part][:, :, columns]
+                shared = 2 * by_globals @ covariance.cross(units, columns) + by_units @ covariance.of_units[units]
+                out[mine, part] = np.sum((by_globals @ C) * by_globals, axis=2) + np.sum(shared * by_units, axis=2)
+        return out
 
-def pose_rows(problem: Problem, state: State) -> PoseRows:
-    """At a state."""
+
+def pose_rows(problem: Problem, state: State, seen: Callable[[Look, Rows], None] | None = None) -> PoseRows:
+    """At a state; `seen` is called with all rows on the way."""
     V = len(problem.obs.camera)
     out = np.zeros((V, N_PARTS, problem.n_globals)), np.zeros((V, N_PARTS, problem.unit_size)), np.zeros((V, N_PARTS))
     units = np.zeros((V, N_PARTS), int)
     for views, look, rows in problem.rows(state):
+        if seen is not None:
+            seen(look, rows)
         Q, at = problem.weights.parts(look.kind)[0], part_of(look.kind)
         units[views, at] = rows.units[:, None]
         for target, own in zip(out, dense(rows.parts(Q[views]), problem.n_globals), strict=True):

@@ -74,14 +74,14 @@ def reweighted(problem: Problem, state: State, covariance: Covariance) -> Weight
     w_pixel, w_depth = old.scales(obs)
     r2, r3 = (pixel * w_pixel[..., None]).reshape(len(pixel), -1), depth * w_depth
     in_squares = np.concatenate([split(r2, old.Q_pixel)[1], split(r3, old.Q_depth)[1]], axis=1).T ** 2  # (parts, V)
-    rows = pose_rows(problem, state)
-    carried = rows.carried(covariance, problem)
-    absorbed = np.sum(carried[0] * rows.of_globals, axis=2).T + np.sum(carried[1] * rows.of_units, axis=2).T
+    by_camera = {(kind, c): Assembly(problem.pattern) for kind in OF_BOARDS for c in range(n_cameras)}
+    rows = pose_rows(problem, state, lambda look, rows: by_camera[look.kind, look.camera].add(rows))
+    absorbed = rows.absorbed(covariance, obs.camera).T
+    traces = {key: covariance.trace(own.equations()) for key, own in by_camera.items()}  # tr(J Cov J')
     dims = np.concatenate([np.sum(Q**2, axis=1) for Q in (old.Q_pixel, old.Q_depth)], axis=1).T  # (parts, V)
     parts = slice(0, N_PIXEL), slice(N_PIXEL, N_PARTS)
     n3 = np.maximum(obs.has_depth.sum(axis=1), 1)
     whole = 2 * np.sum(old.robust_pixel * obs.has_pixel, axis=1), np.sum(old.robust_depth * obs.has_depth, axis=1)
-    total = _absorbed(problem, state, covariance)
     factors, ratios = [], []
     for kind, r, rows_of_view, part, names in (
         (Kind.PIXEL, r2, whole[0] - dims[parts[0]].sum(axis=0), parts[0], PIXEL_PARTS),
@@ -89,7 +89,8 @@ def reweighted(problem: Problem, state: State, covariance: Covariance) -> Weight
     ):
         of_view = np.sum(r**2, axis=1) - in_squares[part].sum(axis=0), rows_of_view, absorbed[part].sum(axis=0)
         squares, count, in_pose = (np.asarray(np.bincount(obs.camera, x, minlength=n_cameras), float) for x in of_view)
-        factor = _by_camera(squares, count - (total[kind] - in_pose))
+        total = np.array([traces[kind, c] for c in range(n_cameras)])
+        factor = _by_camera(squares, count - (total - in_pose))
         factors.append(factor)
         before2 = old.parts(kind)[1][:, None] ** 2
         ratios.append(_ratios(in_squares[part] / factor[obs.camera], dims[part] - absorbed[part] / before2, names))
@@ -106,19 +107,6 @@ def reweighted(problem: Problem, state: State, covariance: Covariance) -> Weight
         robust_distance=robust_distance,
     )
     return _robust(problem, state, new, pixel, depth)
-
-
-def _absorbed(problem: Problem, state: State, covariance: Covariance) -> dict[Kind, FloatArray]:
-    """tr(J Cov J') of each camera's rows (C,), by kind."""
-    n_cameras = len(problem.setup.cameras)
-    out = {kind: np.zeros(n_cameras) for kind in OF_BOARDS}
-    for c in range(n_cameras):
-        parts = {kind: Assembly(problem.pattern) for kind in OF_BOARDS}
-        for _, look, rows in problem.rows(state, np.flatnonzero(problem.obs.camera == c)):
-            parts[look.kind].add(rows)
-        for kind, own in parts.items():
-            out[kind][c] = covariance.trace(own.equations())
-    return out
 
 
 def _sizes(problem: Problem, state: State, covariance: Covariance) -> dict[str, float]:
