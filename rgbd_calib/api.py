@@ -19,7 +19,7 @@ from rgbd_calib.io import recording as recordings
 from rgbd_calib.io.cache import default_folder
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.residuals import Residuals, read_residuals_of, write_result
-from rgbd_calib.io.rig import read_boards, read_rig, write_rig
+from rgbd_calib.io.rig import read_rig, read_rig_and_boards, write_rig
 from rgbd_calib.pipeline import fuse as fusing
 from rgbd_calib.pipeline import notebook
 from rgbd_calib.pipeline.calibrate import Calibration
@@ -155,10 +155,8 @@ def load_rig(path: str | Path) -> CalibratedRig:
         Not a rig file.
     """
     path = Path(path)
-    rig = read_rig(path)
-    return CalibratedRig(
-        rig.reference, rig.cameras, rig.quality, rig.provenance, read_boards(path), read_residuals_of(path, rig)
-    )
+    rig, boards = read_rig_and_boards(path)
+    return CalibratedRig(rig.reference, rig.cameras, rig.quality, rig.provenance, boards, read_residuals_of(path, rig))
 
 
 def calibrate(

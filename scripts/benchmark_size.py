@@ -31,6 +31,7 @@ from rgbd_calib.io.correspondences import read_corners, write_corners
 from rgbd_calib.io.recording import CameraInfo, Recording, open_recording, write_dataset
 from rgbd_calib.io.rig import write_intrinsics
 from rgbd_calib.pipeline import calibrate as pipeline
+from rgbd_calib.pipeline import estimators
 from rgbd_calib.pipeline.config import load_config
 from rgbd_calib.pipeline.detection import Detections, detect
 from rgbd_calib.pipeline.workers import Workers
@@ -126,7 +127,7 @@ def calibrate_in_parts(folder: Path, given: bool, max_views: int | None) -> dict
     over = {} if max_views is None else {"max_views": max_views}
     with (
         mock.patch.object(pipeline, "prepare_views", timed(report, "preparation", pipeline.prepare_views)),
-        mock.patch.object(pipeline, "_bundle", timed(report, "solve", pipeline._bundle)),
+        mock.patch.object(estimators, "bundle", timed(report, "solve", estimators.bundle)),
         mock.patch.object(Recording, "digest", timed(report, "digest", Recording.digest)),
     ):
         result = timed(report, "all", pipeline.calibrate)(

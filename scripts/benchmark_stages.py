@@ -18,19 +18,19 @@ from typing import Any
 import click
 
 from rgbd_calib.io.recording import open_recording
-from rgbd_calib.pipeline import calibrate, details, prepare
+from rgbd_calib.pipeline import calibrate, checked_views, details, estimators, prepare
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.trust.self_check import calibration as self_check
 
 STAGES: dict[str, list[tuple[Any, str]]] = {
-    "corners and their depth": [(calibrate, "detect"), (prepare, "detect")],
+    "corners and their depth": [(checked_views, "detect"), (prepare, "detect")],
     "intrinsics (start)": [(prepare, "calibrate_intrinsics")],
     "depth bias": [(prepare, "depth_of_recording")],
-    "plane filter": [(calibrate, "filter_planes")],
-    "board poses": [(calibrate, "pose_view")],
-    "association": [(calibrate, "associate")],
-    "bundle": [(calibrate, "bundle")],
+    "plane filter": [(checked_views, "filter_planes")],
+    "board poses": [(checked_views, "pose_view")],
+    "association": [(checked_views, "associate")],
+    "bundle": [(estimators, "bundle")],
     "expected error, first rig": [(details, "expectation"), (details, "starting_rig")],
     "error on the recording": [(calibrate, "against_views")],
     "self-checks": [(self_check, "of_calibration")],

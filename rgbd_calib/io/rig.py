@@ -91,7 +91,16 @@ def read_rig(path: Path) -> Rig:
     ConfigError
         Not a rig file, or a camera lacks its intrinsics or pose.
     """
+    return _rig_of(parse(RigModel, load_yaml(path), path), path)
+
+
+def read_rig_and_boards(path: Path) -> tuple[Rig, dict[str, FloatArray]]:
+    """As :func:`read_rig` and :func:`read_boards`, from one reading of the file."""
     model = parse(RigModel, load_yaml(path), path)
+    return _rig_of(model, path), _boards_of(model)
+
+
+def _rig_of(model: RigModel, path: Path) -> Rig:
     cameras = {}
     for name, camera in model.cameras.items():
         if camera.intrinsics is None or camera.T_world_color is None:
@@ -155,7 +164,10 @@ def read_depth_bias_samples(path: Path) -> dict[str, BiasSamples]:
 
 def read_boards(path: Path) -> dict[str, FloatArray]:
     """T_world_board (4, 4) by frame from a simulation's truth.yaml; empty where there are none."""
-    model = parse(RigModel, load_yaml(path), path)
+    return _boards_of(parse(RigModel, load_yaml(path), path))
+
+
+def _boards_of(model: RigModel) -> dict[str, FloatArray]:
     return {frame: np.array(T) for frame, T in (model.boards or {}).items()}
 
 

@@ -18,7 +18,7 @@ from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import open_recording
-from rgbd_calib.io.rig import read_boards, read_rig
+from rgbd_calib.io.rig import read_rig, read_rig_and_boards
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.depth_cameras import predicted_views, split, split_rig
 from rgbd_calib.pipeline.detection import Progress, detections_from
@@ -162,7 +162,7 @@ def evaluate_truth(rig: Path, truth: Path) -> MeasuredAlignment:
     of a carried board."""
     beside = [path for name in ("extrinsic", "wave") if (path := truth.parent / name).is_dir()]
     board = open_recording(beside[0]).board if beside else None
-    return against_truth(read_rig(rig), read_rig(truth), read_boards(truth), board).summary()
+    return against_truth(read_rig(rig), *read_rig_and_boards(truth), board).summary()
 
 
 @one_blas_thread

@@ -11,7 +11,7 @@ import numpy as np
 from rgbd_calib.errors import RgbdCalibError
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.io.residuals import Residuals
-from rgbd_calib.io.rig import read_boards, read_rig
+from rgbd_calib.io.rig import read_rig_and_boards
 from rgbd_calib.pipeline.evaluate import against_truth
 from rgbd_calib.pipeline.frame_selection import told
 from rgbd_calib.quality import Finding, MeasuredAlignment, Quality
@@ -93,7 +93,8 @@ def truth_beside(recording: Recording, rig: Rig) -> MeasuredAlignment | None:
     if not path.exists():
         return None
     try:
-        return against_truth(rig, read_rig(path), read_boards(path), recording.board or rig.quality.board).summary()
+        true, boards = read_rig_and_boards(path)
+        return against_truth(rig, true, boards, recording.board or rig.quality.board).summary()
     except RgbdCalibError:
         return None
 
