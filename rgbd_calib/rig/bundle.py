@@ -118,9 +118,10 @@ def solved(problem: Problem, state: State, frames: tuple[str, ...], views: Seque
             if dropped and not taken_back:
                 taken_back = True
                 obs, back = outliers.take_back(problem, state)
-                problem = problem.using(obs)
-                dropped = {key: why for key, why in dropped.items() if key not in {keys[v] for v in back}}
-                continue
+                if back:
+                    problem = problem.using(obs)
+                    dropped = {key: why for key, why in dropped.items() if key not in {keys[v] for v in back}}
+                    continue
             if settled := problem.weights.weighs_depth:
                 break
         if moved < params.weight_tolerance or k >= last_alike:
