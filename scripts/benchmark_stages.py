@@ -32,7 +32,7 @@ STAGES: dict[str, list[tuple[Any, str]]] = {
     "association": [(checked_views, "associate")],
     "bundle": [(estimators, "bundle")],
     "expected error, first rig": [(details, "expectation"), (details, "starting_rig")],
-    "error on the recording": [(calibrate, "against_views")],
+    "error on the recording": [(calibrate, "common_corners")],
     "self-checks": [(self_check, "of_calibration")],
 }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.depth_cameras import split
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, silent
 from rgbd_calib.pipeline.estimators import ESTIMATORS
-from rgbd_calib.pipeline.evaluate import Evaluation, against_views
+from rgbd_calib.pipeline.evaluate import Evaluation, common_corners
 from rgbd_calib.pipeline.provenance import provenance_of
 from rgbd_calib.pipeline.quality import with_views
 from rgbd_calib.pipeline.workers import Workers
@@ -77,7 +76,7 @@ def calibrate(
     )
     own = ESTIMATORS[config.method](views, recording, config)
     rig, views, placed, boards, residuals, joint = own.rig, own.views, own.placed, own.boards, own.residuals, own.joint
-    evaluation = against_views(rig, placed, own.board) if _common_frames(placed) else None
+    evaluation = common_corners(rig, placed, own.board)
     quality = with_views(rig.quality, recording, views, placed, evaluation)
     first = details.starting_rig(
         *(views.association.views, views.association.T_world_color, views.lenses.intrinsics),
@@ -121,8 +120,3 @@ def calibrate(
     }
     rig = replace(depth_cameras.joined(rig, recording.cameras, joint), quality=quality, provenance=provenance)
     return Calibration(rig, views, placed, own.correspondences, boards, residuals, joint, evaluation)
-
-
-def _common_frames(placed: Sequence[PlacedView]) -> bool:
-    frames = [p.view.frame for p in placed]
-    return len(frames) > len(set(frames))

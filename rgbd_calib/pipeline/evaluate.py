@@ -134,7 +134,23 @@ def against_truth(rig: Rig, truth: Rig, boards: Mapping[str, FloatArray], board:
 
 
 def against_views(rig: Rig, placed: Sequence[PlacedView], board: Board) -> Evaluation:
-    """Alignment of corners that two cameras saw, by the depth that they measured, and the transfer error in px."""
+    """Alignment of corners that two cameras saw, by the depth that they measured, and the transfer error in px.
+
+    Raises
+    ------
+    CalibrationError
+        There are none.
+    """
+    found = common_corners(rig, placed, board)
+    if found is None:
+        raise CalibrationError(
+            "no frame shows the board to two cameras of the rig; nothing to compare. Film the board between two cameras"
+        )
+    return found
+
+
+def common_corners(rig: Rig, placed: Sequence[PlacedView], board: Board) -> Evaluation | None:
+    """As :func:`against_views`; None where no two cameras measured, or found, the same corner."""
     by_frame: dict[str, list[PlacedView]] = {}
     for view in placed:
         by_frame.setdefault(view.view.frame, []).append(view)
@@ -145,15 +161,11 @@ def against_views(rig: Rig, placed: Sequence[PlacedView], board: Board) -> Evalu
         for a, b in combinations(views, 2):
             row = _compare(rig, a, b, board, on_front)
             found.setdefault((a.view.camera, b.view.camera), []).append(row)
-    if not found:
-        raise CalibrationError(
-            "no frame shows the board to two cameras of the rig; nothing to compare. Film the board between two cameras"
-        )
     pairs = [
         PairAlignment(key, *(np.concatenate([row[k] for row in rows]) for k in range(4))) for key, rows in found.items()
     ]
     pairs = [pair for pair in pairs if len(pair.distance_m) or len(pair.transfer_px)]
-    return Evaluation(tuple(pairs), {})
+    return Evaluation(tuple(pairs), {}) if pairs else None
 
 
 @one_blas_thread
