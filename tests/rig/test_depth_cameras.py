@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -217,3 +218,25 @@ def test_squares_that_depth_contradicts_are_named(run, real_data: Callable[[str]
     result = run("calibrate", real_data("kinect1_xw"), "-o", tmp_path / "rig.yaml")
     assert result.status == 1
     assert "measure the board's squares (40 mm stated)" in result.stderr
+
+
+def test_a_kinect_without_infrared_images_is_a_rig_of_one(
+    run, real_data: Callable[[str], Path], tmp_path: Path
+) -> None:
+    """With squares of the size that its depth says; published focal lengths, and the baseline of the design."""
+    there, folder = real_data("kinect1_xw"), tmp_path / "kinect1"
+    shutil.copytree(there, folder)
+    dataset = folder / "dataset.yaml"
+    dataset.write_text(dataset.read_text().replace("square: 0.04\n", "square: 0.0294\n"))
+    result = run("calibrate", folder, "-o", tmp_path / "rig.yaml")
+    assert result.status == 0, result.stderr
+    rig = read_rig(tmp_path / "rig.yaml")
+    assert list(rig.cameras) == ["kinect"]
+    depth = rig["kinect"].depth_camera
+    assert depth is not None
+    np.testing.assert_allclose(rig["kinect"].intrinsics.vector[:2], [521.4, 520.6], rtol=0.01)
+    np.testing.assert_allclose(depth.intrinsics.vector[:2], [582.4, 588.1], rtol=0.02)
+    assert abs(float(np.linalg.norm(depth.T_color_depth[:3, 3])) - 0.025) < 0.004
+    assert rig.quality.alignment_on_recording is None  # no corner was seen by two cameras
+    assert rig.quality.self_check is not None and rig.quality.self_check.trusted, result.stderr
+    assert not any(f.check == "scale" for f in rig.quality.self_check.findings)

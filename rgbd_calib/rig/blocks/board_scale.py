@@ -8,8 +8,14 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import Fault, Told
 from rgbd_calib.rig.blocks.board_shape import BoardShapeBlock, nominal_corners_m
 
+LINEAR = 0.25
+"""Of the size: the test is linear, and its number says no more beyond."""
+
 
 def _say(t: Told) -> str:
+    if abs(t.estimate[0]) > LINEAR:
+        way = "larger" if t.estimate[0] > 0 else "smaller"
+        return f"The depth says that the board's squares are more than {100 * LINEAR:.0f} % {way} than stated, or that the depth is wrong"
     sd = float(np.sqrt(max(t.covariance[0, 0], 0)))
     return (
         f"The depth says that the board's squares are {100 * t.estimate[0]:+.2f} % (\u00b1 {100 * sd:.2f} %) from the stated "

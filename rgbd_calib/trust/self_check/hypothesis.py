@@ -16,7 +16,7 @@ OWN_SHARE = 1e-3
 """A deviation from a prior whose variance is a smaller share of the prior's tells nothing: the prior decided it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Hypothesis:
     """An error that the model lacks, in some views."""
 

@@ -54,6 +54,9 @@ def outcomes_of(eq: Equations, problem: Problem, held: tuple[Block, ...], params
 
 SMALL_SHARE = 1 / 3
 """Of the stated error: a smaller one beside it adds a twentieth, and is no news."""
+SEPARABLE = 3.0
+"""Times as uncertain beside the errors that were told: what is more, the data do not tell from them (a board's size and the bias
+of a depth that no wall has measured), and the estimate leaves the range in which the model is linear."""
 
 
 def _retested(eq: Equations, outcomes: list[Outcome]) -> list[Outcome]:
@@ -78,7 +81,7 @@ def findings_of(
     """
     limit, least_m = params.significance / max(len(tests), 1), 1e-3 * max(params.caution_mm, SMALL_SHARE * stated_mm)
     told: list[Outcome] = []
-    left = tests
+    left, alone = tests, {t.hypothesis: np.trace(t.score.covariance) for t in tests}
     while len(told) < MAX_TOLD:
         left = [t for t in left if t.score.p < limit and t.score.effect_m > least_m]
         if not left:
@@ -86,7 +89,8 @@ def findings_of(
         best = max(left, key=lambda t: t.gain)
         told.append(best)
         eq = best.hypothesis.accepted(eq)
-        left = _retested(eq, [Outcome(t.hypothesis, t.hypothesis.test(eq)) for t in left if t is not best])
+        beside = [Outcome(t.hypothesis, t.hypothesis.test(eq)) for t in left if t is not best]
+        left = _retested(eq, [t for t in beside if np.trace(t.score.covariance) < SEPARABLE**2 * alone[t.hypothesis]])
     findings = [
         Finding(
             t.hypothesis.name,
