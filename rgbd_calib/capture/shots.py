@@ -68,7 +68,8 @@ class Photographer:
             average = mean_depth if self._params.mean else median_depth
             depth_raw = average([f.pixels for f in taken])
             color_us, depth_us = self._us(frame.color_s), self._us(times_s[camera])
-            out[camera] = CameraImages(_bgr(frame.color.pixels), depth_raw, color_us, depth_us)
+            infrared = frame.depth.infrared
+            out[camera] = CameraImages(_bgr(frame.color.pixels), depth_raw, color_us, depth_us, infrared=infrared)
         return out
 
     def _us(self, host_s: float) -> int:

@@ -52,7 +52,7 @@ SNAPSHOT_FRAMES = 30
     help="Record this camera (repeat); serial, USB path or uri.  [default: all]",
 )
 @click.option(
-    "--sync", metavar="ID", help="Cameras are joined by a synchronisation cable: this one gives the pulse (RealSense)."
+    "--sync", metavar="ID", help="A synchronisation cable joins the cameras: this one gives the pulse (not OpenNI2)."
 )
 @driver_option
 @redist_option

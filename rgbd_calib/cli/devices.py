@@ -14,7 +14,7 @@ from rgbd_calib.cli.options import driver_option, redist_option, say, show
 @redist_option
 @click.option("--json", "as_json", is_flag=True, help="As JSON, for programs.")
 def command(drivers: tuple[str, ...], redist: Path | None, as_json: bool) -> None:
-    """List the cameras that are attached: OpenNI2 (Xtion, Kinect) and RealSense.
+    """List the cameras that are attached: OpenNI2 (Xtion, Kinect), RealSense, Azure Kinect, Orbbec.
 
     For each: its id in `capture`, uri, serial number, USB port, firmware and video modes. Problems, and what to do
     about them, go to stderr; the exit status is 1 where a camera cannot be used, and 2 where there is no runtime or

@@ -94,7 +94,7 @@ driver_option = click.option(
     "drivers",
     multiple=True,
     metavar="NAME",
-    help="openni2, realsense, or replay:RECORDING, a recording played as cameras (repeat).  [default: all that are installed]",
+    help="openni2, realsense, azure, orbbec, or replay:RECORDING, a recording played as cameras (repeat).  [default: all that are installed]",
 )
 
 

@@ -44,6 +44,8 @@ class CameraImages:
     depth_us: int | None = None
     distance_m: float | None = None
     """True distance to the wall, in depth-bias recordings."""
+    infrared: np.ndarray | None = None
+    """(h, w) uint8 or uint16, in the geometry of depth; None where the camera gives none."""
 
 
 class GrowingRecording:
@@ -139,7 +141,7 @@ class GrowingRecording:
         """Write all images under hidden names, several at once; gives (hidden, final) paths."""
         jobs: list[tuple[Path, Path, np.ndarray]] = []
         for camera, shot in images.items():
-            for kind, image in (("color", shot.color), ("depth", shot.depth_raw)):
+            for kind, image in (("color", shot.color), ("depth", shot.depth_raw), ("ir", shot.infrared)):
                 folder = self.folder / camera / kind
                 if image is not None:
                     jobs.append((folder / f".{frame}.png", folder / f"{frame}.png", image))
@@ -284,7 +286,7 @@ def _whole_lines(handle: int) -> int:
 
 def remove_leftovers(folder: Path, frame: str = "*") -> None:
     """Remove images that were being written when a program died."""
-    for kind in ("color", "depth"):
+    for kind in ("color", "depth", "ir"):
         for path in folder.glob(f"*/{kind}/.{frame}.png"):
             path.unlink(missing_ok=True)
 

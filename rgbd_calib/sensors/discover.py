@@ -11,11 +11,10 @@ from rgbd_calib.sensors.identity import Identity, assign_cameras
 from rgbd_calib.sensors.usb import crowded_controllers, forbidden_node, usb_place
 
 ADVICE_NO_DEVICE = (
-    "no camera is attached, or none may be opened. Look at `lsusb` for 1d27:0601 and the like: not there: cable, power, a "
-    "USB 2.0 port; there: the udev rules of libopenni2-0 need a replug, and USB 3 ports refuse Xtions with old firmware"
+    "no camera is attached, or none may be opened. Look at `lsusb` for 1d27 (Xtion), 8086 (RealSense), 045e:097d (Azure "
+    "Kinect), 2bc5 (Orbbec). Not there: cable, power, another port. There: udev rules need a replug, and USB 3 ports refuse "
+    "Xtions with old firmware"
 )
-
-_PERMISSION = "this user must be able to write to it. Install libopenni2-0 (it brings udev rules for these cameras), then replug it"
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class AttachedDevices:
     @property
     def advice(self) -> str:
         """What to do where there is no device."""
-        return "; ".join([*self.missing, ADVICE_NO_DEVICE])
+        return "\n".join([ADVICE_NO_DEVICE, *self.missing])
 
     def assign(self, wanted: Mapping[str, str], known: Mapping[str, str] | None = None) -> dict[str, Identity]:
         """{camera id: device} to record with; see :func:`assign_cameras`.
@@ -90,7 +89,7 @@ def _ask(runtime: Drivers, uri: str) -> FoundDevice:
         device = runtime.open(uri)
     except CalibrationError as error:
         node = forbidden_node(uri)
-        problem = f"{uri}: no permission for {node}; {_PERMISSION}" if node else str(error)
+        problem = f"{uri}: no permission for {node}. {runtime.permission(uri)}, then replug it" if node else str(error)
         return FoundDevice(Identity(uri, None, port), problem=problem)
     try:
         return FoundDevice(

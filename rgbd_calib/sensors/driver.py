@@ -12,9 +12,9 @@ from typing import Any, Protocol
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.dataset import CameraInfo
-from rgbd_calib.sensors.frames import SensorFrame
+from rgbd_calib.sensors.frames import Kind, SensorFrame
 
-DRIVERS = ("openni2", "realsense", "replay:RECORDING")
+DRIVERS = ("openni2", "realsense", "azure", "orbbec", "replay:RECORDING")
 
 
 @dataclass(frozen=True)
@@ -54,17 +54,22 @@ class Device(Protocol):
     def label(self) -> str:
         """How messages name it."""
 
+    @property
+    def sizes(self) -> dict[Kind, tuple[int, int]]:
+        """Of a configured device: (width, height) of its frames, px."""
+
     def modes(self) -> list[str]:
         """Video modes of both streams, such as `color 640x480@30 RGB888`."""
 
     def configure(self, allow_unregistered: bool = False) -> DeviceSettings:
         """Choose modes and set them; CalibrationError where the device refuses what a calibration needs."""
 
-    def set_sync(self, leads: bool) -> bool:
-        """Before the start: give or follow the pulse of a cable that joins the cameras; False where there is no such mode."""
+    def set_sync(self, place: int) -> bool:
+        """Before the start: give the pulse of a cable that joins the cameras (place 0) or follow it; False where there is no
+        such mode, or no cable. Lasers that disturb each other take turns by their places."""
 
     def describe(self) -> CameraInfo:
-        """Of a configured device: sizes, unit of depth, and the geometry as far as the device states it."""
+        """Of a device that delivers: sizes, unit of depth, and the geometry as far as the device states it."""
 
     def start(self) -> None:
         """Start both streams; CalibrationError where the device refuses."""
@@ -92,8 +97,11 @@ class Driver(Protocol):
     def label(self) -> str:
         """The driver's name and version."""
 
+    def permission(self, uri: str) -> str:
+        """What lets this user use a device that the system keeps from them."""
+
     def uris(self) -> list[str]:
-        """Devices that are attached now."""
+        """Devices that are attached now, also those that do not open."""
 
     def owns(self, uri: str) -> bool:
         """True for the uris of this driver's devices."""
@@ -126,8 +134,11 @@ class Drivers:
     def owns(self, uri: str) -> bool:
         return any(driver.owns(uri) for driver in self._drivers)
 
+    def permission(self, uri: str) -> str:
+        return self._of(uri).permission(uri)
+
     def open(self, uri: str) -> Device:
-        return next(driver for driver in self._drivers if driver.owns(uri)).open(uri)
+        return self._of(uri).open(uri)
 
     def abandon(self) -> None:
         for driver in self._drivers:
@@ -136,6 +147,9 @@ class Drivers:
     def close(self) -> None:
         for driver in self._drivers:
             driver.close()
+
+    def _of(self, uri: str) -> Driver:
+        return next(driver for driver in self._drivers if driver.owns(uri))
 
 
 def load_drivers(names: Sequence[str], redist: Path | None) -> Drivers:
@@ -146,7 +160,12 @@ def load_drivers(names: Sequence[str], redist: Path | None) -> Drivers:
     ConfigError
         An unknown name, or a driver that was asked for and cannot be loaded.
     """
-    loaders = {"openni2": lambda: _openni2(redist), "realsense": _realsense}
+    loaders: dict[str, Callable[[], Driver]] = {
+        "openni2": lambda: _openni2(redist),
+        "realsense": _realsense,
+        "azure": _azure,
+        "orbbec": _orbbec,
+    }
     if names:
         return Drivers([_load(name, loaders) for name in dict.fromkeys(names)])
     drivers: list[Driver] = []
@@ -182,3 +201,15 @@ def _realsense() -> Driver:
     from rgbd_calib.sensors.realsense import load_realsense
 
     return load_realsense()
+
+
+def _azure() -> Driver:
+    from rgbd_calib.sensors.azure_kinect import load_azure
+
+    return load_azure()
+
+
+def _orbbec() -> Driver:
+    from rgbd_calib.sensors.orbbec import load_orbbec
+
+    return load_orbbec()

@@ -26,6 +26,8 @@ class SensorFrame:
     """The device's frame number; counts good frames only, so it does not show losses."""
     arrival_s: float
     """time.monotonic() when the frame was read."""
+    infrared: np.ndarray | None = None
+    """(h, w): the infrared image of the same exposure and geometry as a depth frame; None where the device gives none."""
 
 
 @dataclass(frozen=True)

@@ -38,8 +38,11 @@ class Runtime:
     def label(self) -> str:
         return f"OpenNI2 {self.version} in {self.folder}"
 
+    def permission(self, uri: str) -> str:
+        return "Install libopenni2-0 (it brings udev rules for these cameras)"
+
     def owns(self, uri: str) -> bool:
-        return not uri.startswith(("realsense:", "replay:"))
+        return not uri.startswith(("realsense:", "azure:", "orbbec:", "replay:"))
 
     def uris(self) -> list[str]:
         """Devices that are attached now."""

@@ -53,6 +53,10 @@ class OpenNi2Device:
         """The port it hangs on; its uri where the port is not known."""
         return self.place.path if self.place else self.uri
 
+    @property
+    def sizes(self) -> dict[Kind, tuple[int, int]]:
+        return {"color": (WIDTH, HEIGHT), "depth": (WIDTH, HEIGHT)}
+
     def modes(self) -> list[str]:
         """Video modes of both streams, such as `color 640x480@30 RGB888`."""
         found = []
@@ -110,7 +114,7 @@ class OpenNi2Device:
                 )
         return settings
 
-    def set_sync(self, leads: bool) -> bool:
+    def set_sync(self, place: int) -> bool:
         return False
 
     def describe(self) -> CameraInfo:

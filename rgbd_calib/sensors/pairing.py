@@ -38,6 +38,13 @@ class ColorDepthPairer:
         self._waiting[frame.kind].clear()
         return (frame, near) if frame.kind == "color" else (near, frame)
 
+    def restart(self) -> None:
+        """The device's clock was set anew: what waits has no partner, and no gap is counted."""
+        for kind, waiting in self._waiting.items():
+            self.unpaired[kind] += len(waiting)
+            waiting.clear()
+        self._last_us.clear()
+
     def _wait(self, frame: SensorFrame) -> None:
         waiting = self._waiting[frame.kind]
         waiting.append(frame)

@@ -8,11 +8,14 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Protocol
 
+from rgbd_calib.errors import CalibrationError, RgbdCalibError
 from rgbd_calib.sensors.clock import DeviceClock
 from rgbd_calib.sensors.frames import Kind, RgbdFrame, SensorFrame
 from rgbd_calib.sensors.pairing import ColorDepthPairer
 
 STALLED_AFTER_S = 1.0
+_JUMP_S = 2.0
+"""Between what a device's clock and the host's say of the time from frame to frame: more than any queue holds back."""
 _WAIT_S = 0.2
 _JOIN_S = 2.0
 KEEP_PAIRS = 8
@@ -21,6 +24,9 @@ KEEP_PAIRS = 8
 
 class FrameSource(Protocol):
     """What a reader needs of a device."""
+
+    @property
+    def sizes(self) -> dict[Kind, tuple[int, int]]: ...
 
     def wait_frame(self, timeout_s: float) -> SensorFrame | None: ...
 
@@ -51,6 +57,8 @@ class DeviceReader:
         self._depths: deque[SensorFrame] = deque(maxlen=max(1, keep_depth))
         self._frames: dict[Kind, int] = {"color": 0, "depth": 0}
         self._n_pairs = 0
+        self._last: dict[Kind, SensorFrame] = {}
+        self._jumps = 0
         self._last_s: dict[Kind, float] = {"color": time.monotonic(), "depth": time.monotonic()}
         self._failure: str | None = None
         self._stop = threading.Event()
@@ -70,6 +78,11 @@ class DeviceReader:
     def failure(self) -> str | None:
         """Why the thread ended by itself, if it did."""
         return self._failure
+
+    @property
+    def jumps(self) -> int:
+        """How often the device's clock jumped, as one does that is set anew."""
+        return self._jumps
 
     def silent_kinds(self) -> tuple[Kind, ...]:
         """Streams that have delivered nothing for `STALLED_AFTER_S`."""
@@ -100,11 +113,22 @@ class DeviceReader:
                 frame = self._device.wait_frame(_WAIT_S)
                 if frame is not None:
                     self._take(frame)
+        except RgbdCalibError as error:
+            self._failure = str(error)
         except Exception as error:  # the runtime may raise anything when a device dies; the rig's watch reports it
             self._failure = f"{type(error).__name__}: {error}"
 
     def _take(self, frame: SensorFrame) -> None:
+        height, width = frame.pixels.shape[:2]
+        if (width, height) != self._device.sizes[frame.kind]:
+            wanted = "{}x{}".format(*self._device.sizes[frame.kind])
+            raise CalibrationError(
+                f"{frame.kind} of {wanted} px was set up, {width}x{height} px came. Replug the camera"
+            )
         with self._fresh:
+            if self._jumped(frame):
+                self._clock, self._jumps = DeviceClock(), self._jumps + 1
+                self._pairer.restart()
             self._clock.observe(frame.device_us, frame.arrival_s)
             self._last_s[frame.kind] = frame.arrival_s
             self._frames[frame.kind] += 1
@@ -117,3 +141,9 @@ class DeviceReader:
                 self._pairs.append(RgbdFrame(self.camera, color, depth, *stamps))
                 self._n_pairs += 1
             self._fresh.notify_all()
+
+    def _jumped(self, frame: SensorFrame) -> bool:
+        before, self._last[frame.kind] = self._last.get(frame.kind), frame
+        if before is None:
+            return False
+        return abs((frame.device_us - before.device_us) * 1e-6 - (frame.arrival_s - before.arrival_s)) > _JUMP_S

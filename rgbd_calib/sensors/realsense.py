@@ -74,6 +74,9 @@ class RealSense:
     def uris(self) -> list[str]:
         return [_PREFIX + serial for serial in self._attached()]
 
+    def permission(self, uri: str) -> str:
+        return "Install librealsense's udev rules (99-realsense-libusb.rules)"
+
     def owns(self, uri: str) -> bool:
         return uri.startswith(_PREFIX)
 
@@ -126,6 +129,11 @@ class RealSenseDevice:
     def label(self) -> str:
         return f"{self.uri} ({self.name})"
 
+    @property
+    def sizes(self) -> dict[Kind, tuple[int, int]]:
+        color, depth = (self._profiles[kind].as_video_stream_profile() for kind in ("color", "depth"))
+        return {"color": (color.width(), color.height()), "depth": (depth.width(), depth.height())}
+
     def modes(self) -> list[str]:
         modes = (_mode(profile) for _, _, profile in self._streams())
         return list(dict.fromkeys(modes))
@@ -164,11 +172,12 @@ class RealSenseDevice:
             *fov,
         )
 
-    def set_sync(self, leads: bool) -> bool:
+    def set_sync(self, place: int) -> bool:
         sensor, mode = self._sensors["depth"], self._binding.option.inter_cam_sync_mode
+        wanted = _LEADS if place == 0 else _FOLLOWS
         try:
-            sensor.set_option(mode, _LEADS if leads else _FOLLOWS)
-            return bool(sensor.get_option(mode) == (_LEADS if leads else _FOLLOWS))
+            sensor.set_option(mode, wanted)
+            return bool(sensor.get_option(mode) == wanted)
         except RuntimeError:  # a camera without the mode
             return False
 

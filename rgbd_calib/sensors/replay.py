@@ -14,7 +14,7 @@ from rgbd_calib.io.dataset import CameraInfo
 from rgbd_calib.io.depth_files import read_depth_raw
 from rgbd_calib.io.recording import Recording, open_recording
 from rgbd_calib.sensors.driver import Device, DeviceSettings
-from rgbd_calib.sensors.frames import PERIOD_S, SensorFrame
+from rgbd_calib.sensors.frames import PERIOD_S, Kind, SensorFrame
 
 _PREFIX = "replay:"
 FPS = round(1 / PERIOD_S)
@@ -34,6 +34,9 @@ class Replay:
 
     def uris(self) -> list[str]:
         return [f"{_PREFIX}{camera}" for camera in self._recording.cameras]
+
+    def permission(self, uri: str) -> str:
+        return "Make the recording readable"
 
     def owns(self, uri: str) -> bool:
         return uri.startswith(_PREFIX)
@@ -80,6 +83,10 @@ class ReplayedCamera:
     def label(self) -> str:
         return f"{self.uri} (serial {self.serial})"
 
+    @property
+    def sizes(self) -> dict[Kind, tuple[int, int]]:
+        return {"color": (self._info.width, self._info.height), "depth": self._info.depth_size}
+
     def modes(self) -> list[str]:
         width, height = self._info.depth_size
         return [f"color {self._info.width}x{self._info.height}@{FPS} RGB888", f"depth {width}x{height}@{FPS} Z16"]
@@ -105,7 +112,7 @@ class ReplayedCamera:
             *fov,
         )
 
-    def set_sync(self, leads: bool) -> bool:
+    def set_sync(self, place: int) -> bool:
         return False
 
     def describe(self) -> CameraInfo:

@@ -35,6 +35,8 @@ class _Seat:
     reader: DeviceReader
     silent: tuple[Kind, ...] = ()
     gone: bool = False
+    jumps: int = 0
+    """Of its clock, as told so far."""
     finished: tuple[ReaderCounts, ...] = ()
     """Of readers before the camera was plugged in again."""
 
@@ -86,8 +88,10 @@ class SensorRig:
 
     def __enter__(self) -> SensorRig:
         try:
-            for camera, identity in self._wanted.items():  # one after the other: a shared bus shows at the second
-                self._seats[camera] = self._seat(camera, identity)
+            # one after the other: a shared bus shows at the second; the leader last: its pulse must find the others waiting
+            for camera in sorted(self._wanted, key=lambda c: c == self._sync_leader):
+                self._seats[camera] = self._seat(camera, self._wanted[camera])
+            self._seats = {camera: self._seats[camera] for camera in self._wanted}
             self._settle()
         except BaseException:
             self.close()
@@ -166,7 +170,9 @@ class SensorRig:
 
     def _set_up(self, camera: str, device: Device) -> DeviceSettings:
         settings = device.configure(self._allow_unregistered)
-        if self._sync_leader is not None and not device.set_sync(camera == self._sync_leader):
+        followers = [c for c in self._wanted if c != self._sync_leader]
+        place = 0 if camera == self._sync_leader else 1 + followers.index(camera)
+        if self._sync_leader is not None and not device.set_sync(place):
             self._listener(camera, "has no hardware synchronisation; it runs freely")
         return settings
 
@@ -217,6 +223,9 @@ class SensorRig:
     def _notice_silence(self, camera: str, seat: _Seat) -> None:
         if seat.gone:
             return
+        if seat.reader.jumps > seat.jumps:
+            self._listener(camera, "its clock jumped; frames are matched by time anew")
+        seat.jumps = seat.reader.jumps
         silent = seat.reader.silent_kinds()
         if silent != seat.silent:
             stopped = [k for k in silent if k not in seat.silent]

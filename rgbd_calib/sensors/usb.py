@@ -14,6 +14,15 @@ _ADDRESS = re.compile(r"@(\d+)/(\d+)$")
 
 
 @dataclass(frozen=True)
+class UsbDevice:
+    """A device as the kernel lists it; nothing is opened, and no permission is needed."""
+
+    serial: str
+    address: str
+    """BUS/NUMBER, as at the end of uris."""
+
+
+@dataclass(frozen=True)
 class UsbPlace:
     """A port and the host controller behind it."""
 
@@ -23,8 +32,22 @@ class UsbPlace:
     """The host controller, such as 0000:00:14.0."""
 
 
+def usb_devices(vendor: str, product: str | None = None, sysfs: Path = SYSFS) -> list[UsbDevice]:
+    """Attached devices of a vendor (four hexadecimal digits), of one product or of all."""
+    found = []
+    for folder in sorted(sysfs.iterdir()) if sysfs.is_dir() else []:
+        try:
+            seen = [(folder / name).read_text().strip() for name in ("idVendor", "idProduct", "busnum", "devnum")]
+        except OSError:  # an interface, or gone by now
+            continue
+        if seen[0] == vendor and product in (None, seen[1]):
+            serial = folder / "serial"
+            found.append(UsbDevice(serial.read_text().strip() if serial.exists() else "", f"{seen[2]}/{seen[3]}"))
+    return found
+
+
 def usb_place(uri: str, sysfs: Path = SYSFS) -> UsbPlace | None:
-    """The place of a device with an OpenNI uri such as 1d27/0601@1/6 (bus 1, address 6); None where it is not known."""
+    """The place of a device with an uri such as 1d27/0601@1/6 (bus 1, address 6); None where it is not known."""
     address = _ADDRESS.search(uri)
     if address is None or not sysfs.is_dir():
         return None
