@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -12,6 +13,10 @@ from rgbd_calib.capture.board_watch import DetectedFrameSet, board_views
 from rgbd_calib.capture.stillness import Corners
 from rgbd_calib.types import Board
 from rgbd_calib.views.coverage import Coverage, CoverageParams, ViewCoverage, place_view, summarize_coverage
+from rgbd_calib.views.range_coverage import RangeCoverage, range_coverage
+
+_LOOKS = 3
+"""Kept, so that a page that asks for the state and then for its pictures gets those of the same look."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,10 @@ class GuideState:
     cameras: dict[str, CameraNow]
     coverage: Coverage | None
     """None where no board was named."""
+    ranges: dict[str, RangeCoverage]
+    """By camera: regions of the image and distances together, as a report shows them; empty where no board was named."""
+    look: int
+    """Which look at the board the corners are of; see :meth:`Guide.picture`."""
     events: tuple[str, ...]
     """The last things that went wrong or right again."""
 
@@ -48,12 +57,15 @@ class Guide:
         self._board = board
         self._params = params or CoverageParams()
         self._placed: list[ViewCoverage] = []
-        self._coverage = summarize_coverage([], self._judged, self._params) if board else None
+        self._coverage: Coverage | None = None
+        self._ranges: dict[str, RangeCoverage] = {}
+        self._summarize()
         self._advice = ""
         self._frame_sets = 0
         self._events: list[str] = []
         self._live: tuple[str, ...] = self._all
-        self._look: DetectedFrameSet | None = None
+        self._looks: deque[DetectedFrameSet] = deque(maxlen=_LOOKS)
+        self._n_looks = 0
         self._listeners: list[Callable[[GuideState], None]] = []
 
     def listen(self, listener: Callable[[GuideState], None]) -> None:
@@ -83,7 +95,8 @@ class Guide:
     def looked(self, look: DetectedFrameSet, live: Sequence[str]) -> None:
         """A look at the board that is not recorded (yet)."""
         with self._lock:
-            self._look, self._live = look, tuple(live)
+            self._looks.append(look)
+            self._n_looks, self._live = self._n_looks + 1, tuple(live)
         self._tell()
 
     def seen_live(self, live: Sequence[str]) -> None:
@@ -113,22 +126,32 @@ class Guide:
 
     def state(self) -> GuideState:
         with self._lock:
-            corners = self._look.corners if self._look else {}
+            corners = self._looks[-1].corners if self._looks else {}
             cameras = {}
             for camera in self._all:
                 pixels = corners[camera][1] if camera in corners else np.zeros((0, 2))
                 cameras[camera] = CameraNow(camera in self._live, camera in corners, pixels)
-            return GuideState(self._advice, self._frame_sets, cameras, self._coverage, tuple(self._events))
+            return GuideState(
+                self._advice,
+                self._frame_sets,
+                cameras,
+                self._coverage,
+                self._ranges,
+                self._n_looks,
+                tuple(self._events),
+            )
 
-    def picture(self, camera: str) -> np.ndarray | None:
-        """The picture (h, w, 3), R G B, that the corners of the last look belong to."""
+    def picture(self, camera: str, look: int) -> np.ndarray | None:
+        """The picture (h, w, 3), R G B, of a look; the oldest that is kept where that one is no more, None where there is none."""
         with self._lock:
-            frames = self._look.frame_set.frames if self._look else {}
+            back = min(max(self._n_looks - look, 0), len(self._looks) - 1)
+            frames = self._looks[-1 - back].frame_set.frames if self._looks else {}
             return frames[camera].color.pixels if camera in frames else None
 
     def _summarize(self) -> None:
         if self._board is not None:
             self._coverage = summarize_coverage(self._placed, self._judged, self._params)
+            self._ranges = range_coverage(self._placed, self._all)
 
     def _tell(self) -> None:
         if self._listeners:

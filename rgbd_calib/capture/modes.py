@@ -82,7 +82,7 @@ def _record(studio: Studio, params: ModeParams, only: str | None) -> None:
 
 def _record_at_intervals(studio: Studio, params: ModeParams, only: str | None) -> None:
     next_s, taken = time.monotonic(), 0
-    studio.guide.advise("recording; hold the board still at each shot" if studio.finder else "recording")
+    studio.guide.advise("hold the board still at each shot" if studio.finder else "recording")
     while not _finished(studio, params, taken):
         _look_until(studio, next_s, only)
         next_s = max(next_s + params.interval_s, time.monotonic())

@@ -7,7 +7,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from flask import Flask, Response, abort
+from flask import Flask, Response, abort, request
 
 from rgbd_calib.capture.guide import Guide, GuideState
 from rgbd_calib.errors import ConfigError
@@ -15,6 +15,7 @@ from rgbd_calib.io.plain import to_json
 from rgbd_calib.io.serving import LOOPBACK, LocalServer
 from rgbd_calib.sensors.rig import SensorRig
 from rgbd_calib.views.coverage import CameraCoverage
+from rgbd_calib.views.range_coverage import RangeCoverage
 
 DEFAULT_PORT = 8765
 _JPEG_QUALITY = 75
@@ -51,9 +52,11 @@ def state_json(state: GuideState) -> dict[str, Any]:
     return {
         "advice": state.advice,
         "frame_sets": state.frame_sets,
+        "look": state.look,
         "events": list(state.events),
         "enough": coverage.enough if coverage else None,
         "missing": list(coverage.missing) if coverage else [],
+        "next": coverage.next if coverage else "",
         "common_frames": [[a, b, n] for (a, b), n in coverage.common_frames.items()] if coverage else [],
         "cameras": {
             camera: {
@@ -62,6 +65,7 @@ def state_json(state: GuideState) -> dict[str, Any]:
                 "coverage": _coverage_json(coverage.cameras[camera])
                 if coverage and camera in coverage.cameras
                 else None,
+                "ranges": _ranges_json(state.ranges[camera]) if camera in state.ranges else None,
             }
             for camera, now in state.cameras.items()
         },
@@ -76,6 +80,10 @@ def _coverage_json(coverage: CameraCoverage) -> dict[str, Any]:
         "nearest_m": round(coverage.nearest_m, 2),
         "farthest_m": round(coverage.farthest_m, 2),
     }
+
+
+def _ranges_json(own: RangeCoverage) -> dict[str, Any]:
+    return {"labels": own.labels, "counts": own.counts.tolist(), "empty": own.empty}
 
 
 def _app(guide: Guide, rig: SensorRig) -> Flask:
@@ -94,7 +102,7 @@ def _app(guide: Guide, rig: SensorRig) -> Flask:
     def show_picture(camera: str) -> Response:
         if camera not in rig.cameras:
             abort(404)
-        rgb = guide.picture(camera)
+        rgb = guide.picture(camera, request.args.get("look", 0, int))
         if rgb is None:
             pairs = rig.reader(camera).pairs()
             rgb = pairs[-1].color.pixels if pairs else np.zeros((480, 640, 3), np.uint8)

@@ -26,6 +26,7 @@ from rgbd_calib.report.plots import Figure
 from rgbd_calib.trust.verdict import Verdict
 from rgbd_calib.types import Board, Rig
 from rgbd_calib.views.coverage import Coverage, CoverageParams, ViewCoverage
+from rgbd_calib.views.range_coverage import range_coverage
 
 Drawn = dict[str, Figure]
 FIRST_STEPS = 4
@@ -92,7 +93,7 @@ class Covered:
 def coverage(drawn: Drawn, rig: Rig, placed: Sequence[ViewCoverage]) -> Covered:
     """Coverage of images and ranges."""
     own = numbers.coverage_of_rig(rig, placed)
-    ranges = coverage_map.range_coverage([v for v in placed if v.camera in rig.cameras], list(rig.cameras))
+    ranges = range_coverage([v for v in placed if v.camera in rig.cameras], list(rig.cameras))
     for i, name in enumerate(rig.cameras):
         drawn[f"coverage_{i}"] = coverage_map.figure(ranges[name])
     drawn["depth_ranges"] = figures.depth_ranges(own.cameras, CoverageParams())

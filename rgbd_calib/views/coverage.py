@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -88,11 +89,21 @@ class Coverage:
     """Frames in which both cameras saw the board, for every pair."""
     missing: tuple[str, ...]
     """Sentences for the person who holds the board; the most needed first."""
+    next: str
+    """What the first of them asks to do, without the reason; empty where nothing is missing."""
 
     @property
     def enough(self) -> bool:
         """True where nothing is missing."""
         return not self.missing
+
+
+class _Wish(NamedTuple):
+    """A sentence of `Coverage.missing`, in three parts."""
+
+    cameras: str
+    reason: str
+    action: str
 
 
 def measure_coverage(
@@ -147,12 +158,13 @@ def summarize_coverage(
     per_camera = {camera: _camera_coverage([v for v in placed if v.camera == camera], params) for camera in cameras}
     frames = {camera: {v.frame for v in placed if v.camera == camera} for camera in cameras}
     common = {(a, b): len(frames[a] & frames[b]) for a, b in combinations(cameras, 2)}
-    missing: list[str] = []
+    missing: list[_Wish] = []
     if params.judge_pairs:
         missing += _missing_links(cameras, common, params)
     for camera, coverage in per_camera.items():
         missing += _missing_views(camera, coverage, params)
-    return Coverage(per_camera, common, tuple(missing))
+    first = f"{missing[0].cameras}: {missing[0].action}" if missing else ""
+    return Coverage(per_camera, common, tuple(f"{m.cameras}{m.reason}: {m.action}" for m in missing), first)
 
 
 def _distance_and_tilt(view: BoardView, board: Board, intrinsics: Intrinsics) -> tuple[float, float]:
@@ -194,8 +206,10 @@ def _camera_coverage(placed: Sequence[ViewCoverage], params: CoverageParams) -> 
     )
 
 
-def _missing_links(cameras: Sequence[str], common: Mapping[tuple[str, str], int], params: CoverageParams) -> list[str]:
-    """One sentence for each link that a chain over all cameras still needs: the pair that is nearest to being one."""
+def _missing_links(
+    cameras: Sequence[str], common: Mapping[tuple[str, str], int], params: CoverageParams
+) -> list[_Wish]:
+    """One wish for each link that a chain over all cameras still needs: the pair that is nearest to being one."""
     group = {camera: {camera} for camera in cameras}
 
     def join(a: str, b: str) -> None:
@@ -206,46 +220,43 @@ def _missing_links(cameras: Sequence[str], common: Mapping[tuple[str, str], int]
     for (a, b), frames in common.items():
         if frames >= params.min_common_frames:
             join(a, b)
-    sentences = []
+    wishes = []
     for (a, b), frames in sorted(common.items(), key=lambda item: -item[1]):
         if group[a] is group[b]:
             continue
         join(a, b)
         if frames == 0:
-            sentences.append(f"{a} and {b} share no view yet: hold the board where both see it")
+            wishes.append(_Wish(f"{a} and {b}", " share no view yet", "hold the board where both see it"))
         else:
             more = params.min_common_frames - frames
-            sentences.append(f"{a} and {b} share {_count(frames, 'view')}, {more} more needed: hold the board for both")
-    return sentences
+            reason = f" share {_count(frames, 'view')}, {more} more needed"
+            wishes.append(_Wish(f"{a} and {b}", reason, "hold the board for both"))
+    return wishes
 
 
-def _missing_views(camera: str, coverage: CameraCoverage, params: CoverageParams) -> list[str]:
+def _missing_views(camera: str, coverage: CameraCoverage, params: CoverageParams) -> list[_Wish]:
     if coverage.views == 0:
-        return [f"{camera} has not seen the board yet: hold it in front of {camera}"]
+        return [_Wish(camera, " has not seen the board yet", "hold the board in front of it")]
     if not params.judge_cameras:
         return []
-    sentences = []
+    wishes = []
     if coverage.views < params.min_views:
-        sentences.append(f"{camera}: {_count(coverage.views, 'view')}, {params.min_views} needed: show it more poses")
+        reason = f": {_count(coverage.views, 'view')}, {params.min_views} needed"
+        wishes.append(_Wish(camera, reason, "show it more poses"))
     filled = int((coverage.regions > 0).sum())
     if filled < params.min_regions:
         empty = region_names(coverage.regions == 0)
-        sentences.append(
-            f"{camera}: corners in {filled} of {coverage.regions.size} image regions, {params.min_regions} needed: "
-            f"move the board to the {empty}"
-        )
+        reason = f": corners in {filled} of {coverage.regions.size} image regions, {params.min_regions} needed"
+        wishes.append(_Wish(camera, reason, f"move the board to the {empty}"))
     if not coverage.farthest_m >= params.min_distance_ratio * coverage.nearest_m:
-        sentences.append(
-            f"{camera}: board seen only from {coverage.nearest_m:.2f} to {coverage.farthest_m:.2f} m: "
-            "hold it nearer and farther too"
-        )
+        reason = f": board seen only from {coverage.nearest_m:.2f} to {coverage.farthest_m:.2f} m"
+        wishes.append(_Wish(camera, reason, "hold it nearer and farther too"))
     tilted = int(coverage.tilts[np.array(params.tilt_edges_rad[:-1]) >= params.tilted_rad - 1e-9].sum())
     if tilted < params.min_tilted:
-        sentences.append(
-            f"{camera}: {_count(tilted, 'view')} tilted by more than {math.degrees(params.tilted_rad):.0f}°, "
-            f"{params.min_tilted} needed: tilt the board to the side, up and down"
-        )
-    return sentences
+        tilt_deg = math.degrees(params.tilted_rad)
+        reason = f": {_count(tilted, 'view')} tilted by more than {tilt_deg:.0f}°, {params.min_tilted} needed"
+        wishes.append(_Wish(camera, reason, "tilt the board to the side, up and down"))
+    return wishes
 
 
 def region_names(empty: IntArray) -> str:

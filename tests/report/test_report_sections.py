@@ -24,6 +24,7 @@ from rgbd_calib.report.page import CloudComparison, Contents, render
 from rgbd_calib.report.scene import MovedCloud, scene
 from rgbd_calib.types import Board, BoardShape, DepthBias, DepthCamera, Rig, RigCamera
 from rgbd_calib.views.coverage import ViewCoverage
+from rgbd_calib.views.range_coverage import range_coverage
 
 LENS = Intrinsics(640, 480, 500.0, 500.0, 319.5, 239.5)
 BOARD = Board(9, 6, 0.06)
@@ -281,14 +282,16 @@ def test_coverage_counts_views_by_region_and_range():
 
     views = [placed("C1", 1.0, 0, 0), placed("C1", 1.1, 0, 0), placed("C1", 2.5, 2, 3), placed("C2", 4.0, 1, 1)]
     views.append(placed("C1", NAN, 1, 2))
-    found = coverage_map.range_coverage(views, ["C1", "C2"])
+    found = range_coverage(views, ["C1", "C2"])
     np.testing.assert_allclose(found["C1"].edges_m, [1, 2, 3, 4], atol=1e-5)
     assert found["C1"].counts[0, 0, 0] == 2 and found["C1"].counts[1, 2, 3] == 1 and found["C1"].counts.sum() == 3
     assert found["C2"].counts[2, 1, 1] == 1 and found["C2"].counts.sum() == 1
     assert found["C1"].empty[2] == "far, 3.0-4.0 m: no view"
     assert found["C1"].empty[0].startswith("near, 1.0-2.0 m: 11 of 12 regions empty")
     assert coverage_map.figure(found["C1"])["data"][1]["z"] == found["C1"].counts[1].tolist()
-    unknown = coverage_map.range_coverage([placed("C1", NAN, 0, 0)] * 2, ["C1"])["C1"]
+    alike = range_coverage([placed("C1", 1.0, 0, 0), placed("C1", 1.2, 1, 1)], ["C1"])["C1"]
+    assert alike.labels == ["1.0-1.2 m"] and alike.counts.sum() == 2
+    unknown = range_coverage([placed("C1", NAN, 0, 0)] * 2, ["C1"])["C1"]
     assert unknown.counts[0, 0, 0] == 2 and unknown.empty[0].startswith("any distance: 11 of 12 regions empty")
     assert len(coverage_map.figure(unknown)["data"]) == 1
 

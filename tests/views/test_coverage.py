@@ -49,7 +49,8 @@ def test_names_the_pair_without_a_common_view():
     coverage = measure_coverage(views, BOARD, {"C1": SIZE, "C2": SIZE, "C3": SIZE})
     assert coverage.common_frames == {("C1", "C2"): 3, ("C1", "C3"): 0, ("C2", "C3"): 0}
     assert "C1 and C3 share no view yet: hold the board where both see it" in coverage.missing
-    assert "C3 has not seen the board yet: hold it in front of C3" in coverage.missing
+    assert "C3 has not seen the board yet: hold the board in front of it" in coverage.missing
+    assert coverage.next == "C1 and C3: hold the board where both see it"
     assert not any(s.startswith("C2 and C3") for s in coverage.missing)  # one link is enough for C3
     assert not coverage.enough
 
