@@ -14,7 +14,8 @@ from rgbd_calib.io.foreign.bop import BopScene, is_bop
 from rgbd_calib.io.foreign.caliscope import CaliscopeSession, is_caliscope
 from rgbd_calib.io.foreign.folder import PictureFolder
 from rgbd_calib.io.foreign.kinect2 import FreenectDump, IaiFolder, is_dump, is_iai
-from rgbd_calib.io.foreign.orbbec import OrbbecBag, is_orbbec
+from rgbd_calib.io.foreign.orbbec import OrbbecBag
+from rgbd_calib.io.foreign.orbbec_bag import is_orbbec
 from rgbd_calib.io.foreign.own import OwnRecording, is_own
 from rgbd_calib.io.foreign.realsense import RealSenseBag, is_realsense
 from rgbd_calib.io.foreign.ros import RosBag

@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import orbbec_bag
 import pytest
 from foreign_files import bag2
+from orbbec_bag import write_orbbec_bag
 
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.io.recording import open_recording
@@ -144,6 +146,36 @@ def test_orbbec_bag(run, tmp_path):
     assert recording.timestamps_us("C1")["000003"] == (99_999, 99_999)
     asked = run("import", tmp_path / "femto.bag", "-o", tmp_path / "other")
     assert asked.status == 2 and "nothing in it says the unit of its depth" in asked.stderr
+
+
+def test_a_bag_of_the_orbbec_sdk(run, tmp_path):
+    """Checksums, frames and a type of the IMU that are not those of ROS."""
+    rgb = [image[..., ::-1] for image in COLOR]
+    path = write_orbbec_bag(
+        tmp_path / "femto.bag", {"color": rgb, "depth": list(DEPTH), "ir": list(DEPTH // 8)}, imu=True
+    )
+    outcome = run("import", path, "-o", tmp_path / "out", "--depth-scale", "0.001")
+    assert outcome.status == 0 and "/cam/sensor_4/frameType_4 is not used" in outcome.stderr, outcome.stderr
+    recording = open_recording(tmp_path / "out")
+    info = recording.cameras["C1"]
+    assert info.serial == orbbec_bag.SERIAL and info.intrinsics is not None and info.depth is not None
+    np.testing.assert_allclose(info.intrinsics.vector[:4], orbbec_bag.LENS)
+    np.testing.assert_allclose(info.depth.T_color_depth[:3, :3], orbbec_bag.R_COLOR_DEPTH)
+    np.testing.assert_allclose(info.depth.T_color_depth[:3, 3], np.array(orbbec_bag.T_COLOR_DEPTH_MM) / 1000, rtol=1e-6)
+    for i in range(N):
+        frame = f"{i:06d}"
+        assert recording.timestamps_us("C1")[frame] == (i * orbbec_bag.PERIOD_US,) * 2
+        np.testing.assert_array_equal(recording.color("C1", frame), COLOR[i])
+        np.testing.assert_allclose(recording.depth_own_m("C1", frame), DEPTH[i] / 1000, rtol=1e-6)
+        np.testing.assert_array_equal(recording.ir("C1", frame), DEPTH[i] // 8)
+
+
+def test_a_ros_bag_whose_checksums_are_wrong_is_refused(run, tmp_path):
+    path = write_orbbec_bag(tmp_path / "femto.bag", {"color": [COLOR[0]]})
+    data = path.read_bytes().replace(b"/cam/sensor_", b"/rig/sensor_")
+    (tmp_path / "other.bag").write_bytes(data)
+    outcome = run("import", tmp_path / "other.bag", "-o", tmp_path / "out")
+    assert outcome.status == 2 and "hash mismatch" in outcome.stderr
 
 
 def test_native_bag_of_a_realsense(real_data):

@@ -6,11 +6,14 @@ import inspect
 
 import cv2
 import numpy as np
+import orbbec_bag
 import pytest
 import soft_orbbec
+from orbbec_bag import write_orbbec_bag
 from soft_orbbec import DepthFrame, OBFormat, SoftOrbbec
 
 from rgbd_calib.errors import CalibrationError
+from rgbd_calib.sensors.orbbec import OrbbecCamera
 from rgbd_calib.sensors.orbbec_frames import color_of, values_of
 
 
@@ -79,3 +82,40 @@ def test_the_double_of_the_orbbec_package_has_its_names():
             assert hasattr(real, member), f"{name}.{member}"
             held += 1
     assert held > 60
+
+
+def test_a_recording_that_the_sdk_plays(tmp_path):
+    """What the SDK plays of a file as it writes them is what the driver gives; see docs/guides/cameras.md for the command."""
+    binding = pytest.importorskip("pyorbbecsdk")
+    binding.Context.set_logger_level(binding.OBLogLevel.NONE)
+    rng = np.random.default_rng(2)
+    sent = {
+        "color": [rng.integers(0, 256, (480, 640, 3), np.uint8) for _ in range(8)],
+        "depth": [rng.integers(400, 9000, (576, 640), np.uint16) for _ in range(8)],
+    }
+    sent["ir"] = [image // 8 for image in sent["depth"]]
+    played = binding.PlaybackDevice(str(write_orbbec_bag(tmp_path / "femto.bag", sent)))
+    device = OrbbecCamera(binding, played, f"orbbec:{orbbec_bag.SERIAL}@2/5")
+    settings = device.configure()
+    assert (settings.color_mode, settings.depth_mode) == ("640x480@30 RGB", "640x576@30 Y16")
+    assert not device.set_sync(0) and not device.lock_exposure() and device.camera_settings() == {}
+    device.start()
+    frames = []
+    while (frame := device.wait_frame(1.0)) is not None:
+        frames.append(frame)
+    info = device.describe()
+    device.close()
+    for kind in ("color", "depth"):
+        own = [f for f in frames if f.kind == kind]
+        first = own[0].index
+        assert first <= 1 and [f.index for f in own] == list(range(first, 8))  # streams start one after the other
+        for frame in own:
+            assert frame.device_us == orbbec_bag.START_US + frame.index * orbbec_bag.PERIOD_US
+            np.testing.assert_array_equal(frame.pixels, sent[kind][frame.index])
+            if kind == "depth" and frame.index > 1:
+                np.testing.assert_array_equal(frame.infrared, sent["ir"][frame.index])
+    k1, k2, k3, k4, k5, k6, p1, p2 = orbbec_bag.DISTORTION
+    np.testing.assert_allclose(info.intrinsics.vector, [*orbbec_bag.LENS, k1, k2, p1, p2, k3, k4, k5, k6], rtol=1e-6)
+    np.testing.assert_allclose(info.depth.T_color_depth[:3, :3], orbbec_bag.R_COLOR_DEPTH)
+    np.testing.assert_allclose(info.depth.T_color_depth[:3, 3], np.array(orbbec_bag.T_COLOR_DEPTH_MM) / 1000, rtol=1e-6)
+    assert (info.serial, info.depth_scale) == (orbbec_bag.SERIAL, 0.001)

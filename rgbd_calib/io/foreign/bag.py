@@ -13,6 +13,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.bag_limits import limit_expansion
 from rgbd_calib.io.calibrations.common import rigid_of_quaternion
 from rgbd_calib.io.foreign.damaged import faults
+from rgbd_calib.io.foreign.orbbec_bag import OrbbecReader, is_orbbec
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 IMAGE, COMPRESSED, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
@@ -71,7 +72,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
     ConfigError
         It is damaged, or none.
     """
-    from rosbags.highlevel import AnyReader
+    from rosbags.highlevel import AnyReader, AnyReaderError
     from rosbags.typesys import Stores, get_typestore
 
     limit_expansion()
@@ -80,8 +81,16 @@ def open_bag(path: Path) -> Iterator[Bag]:
             with path.open("rb") as stream:
                 if stream.read(len(_ROS_1)) != _ROS_1:  # its reader looks for the end of the line, however far it is
                     raise ValueError(f"{_ROS_1.decode()!r} expected at the begin")
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-        reader.open()
+        reader: Any = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        try:
+            reader.open()
+        except AnyReaderError:
+            if path.suffix != ".bag":
+                raise
+            reader = OrbbecReader(path)
+            if not is_orbbec({c.topic: c.msgtype for c in reader.connections}):
+                reader.close()
+                raise
         if not all(isinstance(text, str) for c in reader.connections for text in (c.topic, c.msgtype)):
             reader.close()
             raise ValueError("a topic whose name is no text")  # SQLite keeps bytes and nothing in columns of text

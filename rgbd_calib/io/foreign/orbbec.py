@@ -6,7 +6,6 @@ k6, p1, p2. https://github.com/orbbec/OrbbecSDK_v2 (src/media/ros)
 
 from __future__ import annotations
 
-import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -19,17 +18,13 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.calibrations.common import numbers, rigid
 from rgbd_calib.io.calibrations.makers_lens import ORBBEC, lens_of_maker
 from rgbd_calib.io.foreign.bag import Bag, bag_faults, open_bag, stamp_us
+from rgbd_calib.io.foreign.orbbec_bag import FRAME
 from rgbd_calib.io.foreign.ros_images import picture_of
 from rgbd_calib.io.foreign.source import Kind, Source, SourceCamera, SourceImage, Stamps, Wanted
 
-_FRAME = re.compile(r"/cam/sensor_(\d+)/frameType_(\d+)")
 _KINDS: dict[str, Kind] = {"2": "color", "3": "depth", "1": "ir", "6": "ir"}
 """By OBSensorType: colour, depth, infrared, left infrared."""
 _PROFILES = {"color": "2", "depth": "3"}
-
-
-def is_orbbec(topics: Mapping[str, str]) -> bool:
-    return any(_FRAME.fullmatch(topic) for topic in topics)
 
 
 class OrbbecBag(Source):
@@ -43,7 +38,7 @@ class OrbbecBag(Source):
         with open_bag(path) as bag:
             self._streams: dict[str, Kind] = {}
             for topic in sorted(bag.types):
-                frame = _FRAME.fullmatch(topic)
+                frame = FRAME.fullmatch(topic)
                 kind = None if frame is None else _KINDS.get(frame[1])
                 if kind is not None and kind not in self._streams.values():
                     self._streams[topic] = kind
