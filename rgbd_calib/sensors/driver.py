@@ -72,7 +72,7 @@ class Device(Protocol):
         """Of a device that delivers: sizes, unit of depth, and the geometry as far as the device states it."""
 
     def start(self) -> None:
-        """Start both streams; CalibrationError where the device refuses."""
+        """Start both streams, exposure and white balance automatic; CalibrationError where the device refuses."""
 
     def wait_frame(self, timeout_s: float) -> SensorFrame | None:
         """The next frame of either stream, copied; None where none comes in time. Called from one thread only."""

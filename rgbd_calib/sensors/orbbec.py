@@ -229,7 +229,10 @@ class OrbbecCamera:
         )
 
     def start(self) -> None:
-        b = self._binding
+        b, ids = self._binding, self._binding.OBPropertyID
+        for automatic in (ids.OB_PROP_COLOR_AUTO_EXPOSURE_BOOL, ids.OB_PROP_COLOR_AUTO_WHITE_BALANCE_BOOL):
+            with suppress(b.OBError):  # a value of an earlier session may stand
+                self._handle.set_bool_property(automatic, True)
         try:
             pipeline, setup = b.Pipeline(self._handle), b.Config()
             for profile in self._profiles.values():

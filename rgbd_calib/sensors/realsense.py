@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -200,6 +201,10 @@ class RealSenseDevice:
         )
 
     def start(self) -> None:
+        option = self._binding.option
+        for automatic in (option.enable_auto_exposure, option.enable_auto_white_balance):
+            with suppress(RuntimeError):  # a camera without; a value of an earlier session may stand
+                self._sensors["color"].set_option(automatic, 1.0)
         self._queue = self._binding.frame_queue(_QUEUE, True)
         try:
             for sensor, profiles in self._by_sensor():

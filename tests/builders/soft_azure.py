@@ -30,6 +30,10 @@ class SoftAzure(SoftCamera):
         self.is_open = False
 
     @property
+    def automatic(self) -> tuple[bool, bool]:
+        return self.controls[k4a.EXPOSURE] is None, self.controls[k4a.WHITE_BALANCE] is None
+
+    @property
     def sync_place(self) -> int | None:
         assert self.setup is not None
         return {k4a.STANDALONE: None, k4a.MASTER: 0, k4a.SUBORDINATE: 1}[self.setup.wired_sync_mode]

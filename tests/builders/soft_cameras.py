@@ -58,6 +58,11 @@ class SoftCamera:
         raise NotImplementedError
 
     @property
+    def automatic(self) -> tuple[bool, bool]:
+        """Of exposure and of white balance. A camera begins with both locked, as an earlier session left it."""
+        raise NotImplementedError
+
+    @property
     def sync_place(self) -> int | None:
         """0: it leads, 1: it follows, None: it runs freely."""
         raise NotImplementedError

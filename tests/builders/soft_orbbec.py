@@ -297,8 +297,8 @@ class SoftOrbbec(SoftCamera):
         self.enabled: list[VideoStreamProfile] = []
         ids = OBPropertyID
         self.properties = {
-            ids.OB_PROP_COLOR_AUTO_EXPOSURE_BOOL: True,
-            ids.OB_PROP_COLOR_AUTO_WHITE_BALANCE_BOOL: True,
+            ids.OB_PROP_COLOR_AUTO_EXPOSURE_BOOL: False,
+            ids.OB_PROP_COLOR_AUTO_WHITE_BALANCE_BOOL: False,
             ids.OB_PROP_COLOR_EXPOSURE_INT: 156,
             ids.OB_PROP_COLOR_WHITE_BALANCE_INT: 4504,
             ids.OB_PROP_COLOR_MIRROR_BOOL: True,
@@ -312,6 +312,12 @@ class SoftOrbbec(SoftCamera):
             ],
             OBSensorType.IR_SENSOR: [VideoStreamProfile((640, 576), fps, OBFormat.Y16)],
         }
+
+    @property
+    def automatic(self) -> tuple[bool, bool]:
+        ids = OBPropertyID
+        one, other = ids.OB_PROP_COLOR_AUTO_EXPOSURE_BOOL, ids.OB_PROP_COLOR_AUTO_WHITE_BALANCE_BOOL
+        return bool(self.properties[one]), bool(self.properties[other])
 
     @property
     def sync_place(self) -> int | None:

@@ -32,9 +32,19 @@ class SoftRealSense(SoftCamera):
         self.profiles["depth"].register_extrinsics_to(self.profiles["color"], pose)
         self.sensors["depth"].add_read_only_option(rs.option.depth_units, self.unit_m)
         if cable:
-            allowed = rs.option_range()
-            allowed.min, allowed.max, allowed.step, allowed.default = 0.0, 2.0, 1.0, 0.0
-            self.sensors["depth"].add_option(rs.option.inter_cam_sync_mode, allowed, True)
+            self._option("depth", rs.option.inter_cam_sync_mode, 2.0, 0.0)
+        self._option("color", rs.option.enable_auto_exposure, 1.0, 0.0)
+        self._option("color", rs.option.enable_auto_white_balance, 1.0, 0.0)
+        self._option("color", rs.option.exposure, 10000.0, 156.0)
+        self._option("color", rs.option.white_balance, 6500.0, 4600.0)
+
+    @property
+    def automatic(self) -> tuple[bool, bool]:
+        option, sensor = self.rs.option, self.sensors["color"]
+        return (
+            sensor.get_option(option.enable_auto_exposure) == 1.0,
+            sensor.get_option(option.enable_auto_white_balance) == 1.0,
+        )
 
     @property
     def sync_place(self) -> int | None:
@@ -51,6 +61,11 @@ class SoftRealSense(SoftCamera):
             frame.timestamp, frame.domain = device_us / 1000, self.rs.timestamp_domain.hardware_clock
             frame.frame_number, frame.profile = number, profile.as_video_stream_profile()
             self.sensors[kind].on_video_frame(frame)
+
+    def _option(self, kind: str, option, most: float, value: float) -> None:
+        allowed = self.rs.option_range()
+        allowed.min, allowed.max, allowed.step, allowed.default = 0.0, most, 1.0, value
+        self.sensors[kind].add_option(option, allowed, True)
 
     def _profile(self, kind: str, size: tuple[int, int]):
         rs = self.rs

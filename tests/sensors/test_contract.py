@@ -161,6 +161,20 @@ def test_what_a_camera_states_of_itself(make):
     np.testing.assert_allclose(own.T_color_depth, T_COLOR_DEPTH, atol=1e-6)
 
 
+def test_exposure_settles_and_is_then_locked_and_said(make):
+    """A camera keeps what an earlier session locked: it starts automatic."""
+    camera = make("111")
+    assert camera.automatic == (False, False)
+    device = opened(make, camera)
+    assert camera.automatic == (True, True) and device.camera_settings()["auto_exposure"]
+    camera.send()
+    wait_for(lambda: (frame := device.wait_frame(0.2)) is not None and frame.kind == "color")
+    assert device.lock_exposure() and camera.automatic == (False, False)
+    said = device.camera_settings()
+    assert not said["auto_exposure"] and not said["auto_white_balance"] and said["exposure"] > 0
+    device.close()
+
+
 def test_it_starts_again_after_it_was_closed(make):
     camera = make("111")
     attached = [camera]
