@@ -7,10 +7,14 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any, Literal
 
+import numpy as np
+
 from rgbd_calib.quality import AlignmentNumbers, ExpectedAlignment, Finding, Quality
 
 USUAL_M = 2.0
 """Working distance of a rig that does not state its own."""
+ONE_PLACE = 1.5
+"""Diagonal of the volume that the boards went through, over the board's, up to which they were at one place."""
 MIN_COMMON_FRAMES = 3
 
 Level = Literal["good", "fair", "poor", "untrusted", "unknown"]
@@ -226,6 +230,14 @@ def _weaknesses(quality: Quality) -> tuple[list[Reason], list[str]]:
             steps.append(
                 f"Hold the board where {name} and a neighbour both see it, in {MIN_COMMON_FRAMES} or more poses."
             )
+    expected, board = quality.expected_alignment, quality.board
+    if board is not None and expected is not None and expected.grid is not None:
+        across_m = np.ptp(expected.grid.points_in_reference_m, axis=0)
+        if np.linalg.norm(across_m) < ONE_PLACE * np.linalg.norm(np.ptp(board.corners_m(), axis=0)):
+            size = " x ".join(f"{side:.1f}" for side in across_m)
+            text = "The board was at one place only: the volume for which errors are stated is"
+            reasons.append(Reason(f"{text} {size} m, hardly larger than the board. Elsewhere they are not known"))
+            steps.append("Show the board over the whole volume that you will use, near and far.")
     return reasons, steps
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from qualities import measured, quality
+from qualities import expected, grid_of, measured, quality
 from small_recording import FOCAL_PX, HEIGHT, WIDTH, draw_recording
 
 from rgbd_calib.cli.main import cli
@@ -23,6 +23,7 @@ from rgbd_calib.io.rig import read_boards, read_rig, write_intrinsics
 from rgbd_calib.quality import Counted, PairViews, Quality
 from rgbd_calib.report import numbers
 from rgbd_calib.trust.verdict import VerdictLimits, judge, limits_in
+from rgbd_calib.types import Board
 
 CAMERAS = ("C1", "C2", "C3")
 FRAMES = 6
@@ -249,6 +250,18 @@ def test_a_camera_on_a_thread_is_fair_at_best():
     assert verdict.level == "fair"
     assert any("C3 is tied to the rig by 2" in reason for reason in verdict.reasons)
     assert any("C3: 2 views" in step for step in verdict.next_steps)
+
+
+@pytest.mark.parametrize(("side_m", "level"), [(0.3, "fair"), (1.0, "good")])
+def test_boards_at_one_place_say_nothing_of_others(side_m, level):
+    corners = side_m * np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) + [0, 0, 2]
+    own = replace(quality(1.5, None), board=Board(9, 6, 0.06))  # 0.57 m across
+    own = replace(own, expected_alignment=expected(1.5, grid=grid_of(corners, np.ones(8))))
+    verdict = judge(own, ())
+    assert verdict.level == level
+    said = [reason for reason in verdict.reasons if "at one place" in reason]
+    assert bool(said) == (level == "fair")
+    assert not said or f"{side_m} x {side_m} x {side_m} m" in said[0]
 
 
 def some_residuals() -> Residuals:
