@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.geometry.linear import symmetric_inverse
+from rgbd_calib.geometry.linear import BoolArray, Pattern, Rows, assemble
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.trust.displacement.view_fit import FittedView
 from rgbd_calib.types import IntArray
@@ -82,9 +82,10 @@ def locate_cameras(views: Sequence[FittedView], T_world_color: Mapping[str, Floa
     weights, scale, covariance = np.ones(len(mine)), 1.0, np.zeros((6 * len(cameras), 6 * len(cameras)))
     distance = np.zeros(len(mine))
     free = np.repeat(np.array([name != anchor for name in cameras]), 6)
+    pattern = _touched(cam, frame, len(frames), len(cameras))
     for round_ in range(_ROUNDS if mine else 0):
         y, info = _world(mine, T, boards, cam, frame)
-        step, step_boards, covariance = _solve(y, info, weights, cam, frame, len(cameras), len(frames), free)
+        step, step_boards, covariance = _solve(pattern, y, info * weights[:, None, None], cam, frame, free)
         T, boards = se3.retract(T, step), se3.retract(boards, step_boards)
         y, info = _world(mine, T, boards, cam, frame)
         distance = np.sqrt(np.einsum("vi,vij,vj->v", y, info, y))
@@ -150,39 +151,39 @@ def _world(
     return y, np.einsum("vji,vjk,vkl->vil", Ad, np.stack([v.information for v in views]), Ad)
 
 
+def _touched(cam: IntArray, frame: IntArray, n_frames: int, n_cameras: int) -> Pattern:
+    """Which cameras see the board of each frame."""
+    seen = [tuple(sorted(set(cam[frame == f].tolist()))) for f in range(n_frames)]
+    columns = {key: (6 * np.array(key)[:, None] + np.arange(6)).ravel() for key in set(seen)}
+    return Pattern.of(seen, columns, 6 * n_cameras, 6)
+
+
 def _solve(
-    y: FloatArray,
-    info: FloatArray,
-    weights: FloatArray,
-    cam: IntArray,
-    frame: IntArray,
-    n_cameras: int,
-    n_frames: int,
-    free: np.ndarray,
+    pattern: Pattern, y: FloatArray, info: FloatArray, cam: IntArray, frame: IntArray, free: BoolArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Steps of cameras (C, 6) and boards (F, 6), and the cameras' covariance, boards eliminated."""
-    w_info = info * weights[:, None, None]
-    U, g = np.zeros((n_cameras, 6, n_cameras, 6)), np.zeros((n_cameras, 6))
-    V, h = np.zeros((n_frames, 6, 6)), np.zeros((n_frames, 6))
-    W = np.zeros((n_frames, n_cameras, 6, 6))
-    for H, yi, c, f in zip(w_info, y, cam, frame, strict=True):
-        U[c, :, c] += H
-        g[c] += H @ yi
-        V[f] += H
-        h[f] -= H @ yi
-        W[f, c] -= H
-    V_inv = np.linalg.inv(V + 1e-9 * np.einsum("fii->f", V)[:, None, None] * np.eye(6))
-    n = 6 * n_cameras
-    S, r = U.reshape(n, n), g.ravel()
-    for f in range(n_frames):
-        B = W[f].reshape(n, 6)
-        S = S - B @ V_inv[f] @ B.T
-        r = r - B @ V_inv[f] @ h[f]
-    covariance, step = np.zeros((n, n)), np.zeros(n)
-    covariance[np.ix_(free, free)] = symmetric_inverse(S[np.ix_(free, free)])
-    step[free] = -covariance[np.ix_(free, free)] @ r[free]
-    boards = np.stack([-V_inv[f] @ (h[f] + W[f].reshape(n, 6).T @ step) for f in range(n_frames)])
-    return step.reshape(n_cameras, 6), boards, covariance
+    values, vectors = np.linalg.eigh(info)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None]).transpose(0, 2, 1)[:, None]  # info = root' root
+    r, nothing = root @ y[:, None, :, None], np.zeros((len(y), 1, 6, 0))
+    equations = assemble(
+        pattern,
+        (
+            Rows(
+                frame[mine],
+                6 * c + np.arange(6),
+                root[mine],
+                -root[mine],
+                r[mine, ..., 0],
+                np.zeros((len(mine), 1, 0), int),
+                nothing[mine],
+            )
+            for c in range(pattern.n_globals // 6)
+            if len(mine := np.flatnonzero(cam == c))
+        ),
+    )
+    step = equations.step(free, 0.0)
+    assert step is not None  # all cameras are joined, and every view poses its board
+    return step[0].reshape(-1, 6), step[1], equations.covariance(free).of_globals
 
 
 def _weights(relative: FloatArray, huber: bool) -> FloatArray:
