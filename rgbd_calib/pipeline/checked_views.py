@@ -25,7 +25,7 @@ from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.types import Board, DepthBias, PlacedView, PosedView, RigCamera
 from rgbd_calib.views.association import AssociationResult, associate
 from rgbd_calib.views.board_pose import pose_view
-from rgbd_calib.views.depth_scale import check_depth_scale
+from rgbd_calib.views.depth_scale import check_axis, check_depth_scale
 from rgbd_calib.views.plane_filter import PlaneFilterResult, filter_planes
 
 
@@ -85,6 +85,7 @@ def prepare_views(
         for view in filtered.views
     ]
     check_depth_scale(posed, board, biases, config.bundle.bias_scale_sd)
+    check_axis(posed, board)
     seeing = [name for name in cameras if recording.color_files[name]]
     association = associate(posed, board, reference, seeing, config.association)
     association = _with_depth_cameras(association, recording, lenses, biases, board, config)
@@ -132,6 +133,7 @@ def _with_depth_cameras(
     views = [replace(p, view=view) for p, view in zip(read, on_plane.views, strict=True)]
     posed = [PosedView(p.view, p.T_color_board @ board.T_face_board(p.back, p.turned), 0.0) for p in views]
     check_depth_scale(posed, board, biases, config.bundle.bias_scale_sd)
+    check_axis(posed, board)
     return replace(association, views=(*association.views, *views), T_world_color=poses)
 
 

@@ -24,6 +24,10 @@ CLIPPED_WIDTH = 1e-4
 CLIPPED_SHARE = 0.05
 """Of a camera's depths on the board that may be equal to the largest within `CLIPPED_WIDTH`: noise of a millimetre at 2 m leaves
 next to none."""
+ALONG_RAY = 0.3
+"""About an exponent of 1. A depth field of 10 mm at 2 m, or a focal length 2 % off, makes 0.1 of 0."""
+MIN_RAYS, LEAST_SPREAD = 100, 0.01
+"""Corners, and standard deviation of the logarithm of their rays' lengths: half of the corners 10 degrees from the axis."""
 WITHIN = 1.09
 """Depth over pixels is that near to the true factor, where the lens is known or estimated; 4 and 5, 8 and 10 stay apart."""
 
@@ -84,6 +88,41 @@ def depth_over_pixels(posed: PosedView, board: Board, bias: DepthBias | None) ->
     z_m = se3.transform(posed.T_color_face, board.corners_m()[posed.view.ids[measured]])[:, 2]
     depth_m = posed.view.depth_m[measured]
     return float(np.median((depth_m if bias is None else bias.correct(depth_m)) / z_m))
+
+
+def growth_with_ray(posed: Sequence[PosedView], board: Board) -> float | None:
+    """The exponent with which measured depth over that of the board by its pixels grows with the length of the ray (x, y, 1): 0
+    for depth along the axis, 1 for distances along the rays. None where the views do not tell it."""
+    ratios, rays = [np.empty(0)], [np.empty(0)]
+    for p in posed:
+        points = se3.transform(p.T_color_face, board.corners_m()[p.view.ids])
+        measured = np.isfinite(p.view.depth_m) & (p.view.depth_m > 0)
+        ratios.append(np.log(p.view.depth_m[measured] / points[measured, 2]))
+        rays.append(np.log(np.linalg.norm(points[measured], axis=1) / points[measured, 2]))
+    ratio, ray = np.concatenate(ratios), np.concatenate(rays)
+    if len(ray) < MIN_RAYS or np.std(ray) < LEAST_SPREAD:
+        return None
+    return float(np.polyfit(ray, ratio, 1)[0])
+
+
+def check_axis(posed: Sequence[PosedView], board: Board) -> None:
+    """Refuse depth that is measured along each pixel's ray.
+
+    Raises
+    ------
+    CalibrationError
+        Names the cameras, and how to convert it.
+    """
+    by_camera: dict[str, list[PosedView]] = {}
+    for p in posed:
+        by_camera.setdefault(p.view.camera, []).append(p)
+    growth = {name: growth_with_ray(own, board) for name, own in by_camera.items()}
+    wrong = [name for name, own in growth.items() if own is not None and abs(own - 1) < ALONG_RAY]
+    if wrong:
+        raise CalibrationError(
+            f"{', '.join(wrong)}: depth along the camera's axis expected, distances along the rays of the pixels found: they grow "
+            "towards the border of the image as the rays do. Divide each by the length of its ray (x, y, 1), by the lens"
+        )
 
 
 def check_depth_scale(

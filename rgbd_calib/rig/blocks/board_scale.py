@@ -33,6 +33,14 @@ class BoardScale(BoardShapeBlock):
         "Measure the print with a ruler over as many squares as there are and correct `square`; if it is right, check the "
         "depth's unit and the distances of the bias recording",
     )
+    between_recordings = Fault(
+        "board between recordings",
+        lambda t: (
+            f"The board's squares in the intrinsic recording are {100 * t.estimate[0]:+.2f} % "
+            f"(\u00b1 {100 * float(np.sqrt(max(t.covariance[0, 0], 0))):.2f} %) from those in the rig's, or {t.mm} at {t.distance_m:.1f} m"
+        ),
+        "Were both filmed with one board? Say the squares of each in its dataset.yaml, or film the intrinsic recording again",
+    )
     least_seen = (
         1e-9  # the board's size is not seen in pixels; what is known of the depth before is little against them
     )

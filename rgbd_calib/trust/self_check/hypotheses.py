@@ -20,7 +20,7 @@ def hypotheses_of(
     """All that are tested: `held` are blocks that the problem holds at zero."""
     out: list[Hypothesis] = []
     for block in held:
-        out += _held(eq, block)
+        out += [*_held(eq, block), *_of_rig_between_recordings(eq, block, params)]
     for block in problem.blocks:
         if block.scope is Scope.CAMERA:
             for c in range(len(eq.cameras)):
@@ -97,6 +97,16 @@ def _between_recordings(eq: Equations, block: Block, c: int, params: SelfCheckPa
     if fault is None or min(alone.sum(), (mine & ~alone).sum()) < params.min_side or not _seen(eq, block, alone):
         return
     yield Hypothesis(fault, (eq.cameras[c],), _columns(eq, block, fault), alone)
+
+
+def _of_rig_between_recordings(eq: Equations, block: Block, params: SelfCheckParams) -> Iterator[Hypothesis]:
+    """Parameters of the whole rig that are others in the recording of each camera alone."""
+    fault, alone = block.between_recordings, eq.time_index == ALONE
+    if block.scope is not Scope.RIG or fault is None or min(alone.sum(), (~alone).sum()) < params.min_side:
+        return
+    if _seen(eq, block, alone):
+        effect = block.effect(usual_distance_m(eq, alone), 0.0)
+        yield Hypothesis(fault, (), _columns(eq, block, fault), alone, "", effect, block.least_seen)
 
 
 def _known(eq: Equations, problem: Problem, block: Block, c: int) -> Iterator[Hypothesis]:
