@@ -6,22 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_views import BOARD, CORNER_NOISE, arc, board_poses
 
 from rgbd_calib.errors import CalibrationError
+from rgbd_calib.simulation.session import BOARD, draw_scene
 from rgbd_calib.simulation.views import true_views
 from rgbd_calib.types import BoardView
 from rgbd_calib.views.board_pose import pose_view
 from rgbd_calib.views.depth_scale import check_axis, check_depth_scale, growth_with_ray
 
-RIG = arc(2, biased=True)
+SCENE = draw_scene(2, "arc", 12, 0, np.random.default_rng(0))
 
 
 def posed(change=lambda view, rays: view.depth_m, cameras=("C1", "C2")):
-    rng = np.random.default_rng(0)
     out = []
-    for view in true_views(RIG, board_poses(RIG, BOARD, 12, rng), BOARD, CORNER_NOISE, rng):
-        lens = RIG.cameras[view.camera].intrinsics
+    for view in true_views(SCENE.rig, SCENE.boards, BOARD, SCENE.noise, np.random.default_rng(0)):
+        lens = SCENE.rig.cameras[view.camera].intrinsics
         rays = np.linalg.norm(lens.rays(view.corners_px), axis=1)
         depth_m = change(view, rays) if view.camera in cameras else view.depth_m
         own: BoardView = replace(view, depth_m=depth_m)
@@ -31,7 +30,7 @@ def posed(change=lambda view, rays: view.depth_m, cameras=("C1", "C2")):
 
 def test_distances_along_the_rays_are_refused():
     wrong = posed(lambda view, rays: view.depth_m * rays, ("C2",))
-    with pytest.raises(CalibrationError, match="^C2: depth along the camera's axis expected, distances along the rays"):
+    with pytest.raises(CalibrationError, match="C2: depth along the camera's axis expected, distances along the rays"):
         check_axis(wrong, BOARD)
     for name, exponent in (("C1", 0.0), ("C2", 1.0)):
         growth = growth_with_ray([p for p in wrong if p.view.camera == name], BOARD)
