@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -56,14 +56,8 @@ def evaluate_clouds(rig_path: Path, path: Path) -> CloudAlignment:
         No two cameras see the same surfaces.
     """
     rig, recording = read_rig(rig_path), open_recording(path)
-    cameras = common_cameras(recording, rig)
     pairs: dict[tuple[str, str], CloudGap] = {}
-    for frames in _instants(recording):
-        surfaces = {}
-        for name in cameras:
-            depth_m = depth_of(recording, name, frames)
-            if depth_m is not None:
-                surfaces[name] = Surface(rig.cameras[name], depth_m)
+    for surfaces in surfaces_of(recording, rig):
         for pair in combinations(surfaces, 2):
             gap = _gap(rig, surfaces, pair)
             pairs[pair] = pairs[pair].joined(gap) if pair in pairs else gap
@@ -87,6 +81,14 @@ def evaluate_clouds(rig_path: Path, path: Path) -> CloudAlignment:
         {" - ".join(pair): _numbers(gap) for pair, gap in kept.items()},
         tuple(" - ".join(pair) for pair in pairs if pair not in kept),
     )
+
+
+def surfaces_of(recording: Recording, rig: Rig) -> Iterator[dict[str, Surface]]:
+    """What the cameras with depth see of a scene, by camera, at each of some instants."""
+    cameras = common_cameras(recording, rig)
+    for frames in _instants(recording):
+        found = {name: depth_of(recording, name, frames) for name in cameras}
+        yield {name: Surface(rig.cameras[name], depth_m) for name, depth_m in found.items() if depth_m is not None}
 
 
 def _instants(recording: Recording) -> list[list[str] | None]:
