@@ -68,7 +68,11 @@ class Surface:
         p = np.where(seen[..., None], p - self._about_m, 0.0)
         products = [p[..., i] * p[..., j] for i, j in _PAIRS]
         layers = np.stack([seen.astype(float), *np.moveaxis(p, -1, 0), *products], axis=-1)
-        self._sums = tuple(_box_sums(layers, WINDOW_PX * scale) for scale in SCALES)
+        # larger windows are looked up to the pixel no more: a sixteenth of the memory
+        self._sums = tuple(
+            np.ascontiguousarray(_box_sums(layers, WINDOW_PX * scale)[:: _thin(scale), :: _thin(scale)])
+            for scale in SCALES
+        )
 
     @cached_property
     def k_per_m(self) -> float:
@@ -103,7 +107,8 @@ class Surface:
 
     def _fit(self, pixels: np.ndarray, level: int = 0) -> tuple[Patches, FloatArray]:
         """The planes, flat or not, of the windows of one of the scales, and the RMS (n,) of their points about them, metres."""
-        sums = self._sums[level][pixels[:, 1], pixels[:, 0]]
+        u, v = (pixels // _thin(SCALES[level])).T
+        sums = self._sums[level][v, u]
         count = np.maximum(sums[:, 0], 1.0)
         mean = sums[:, 1:4] / count[:, None]
         S = np.empty((len(pixels), 3, 3))
@@ -128,6 +133,11 @@ class Surface:
             pixels = self._camera.intrinsics.project(np.where(ahead[:, None], p, [0.0, 0.0, 1.0]))
         inside = ahead & np.all((pixels > -0.5) & (pixels < np.array([w, h]) - 0.5), axis=1)
         return np.where(inside[:, None], np.rint(np.where(inside[:, None], pixels, 0)), 0).astype(int), inside
+
+
+def _thin(scale: int) -> int:
+    """Pixels from one window that is kept to the next."""
+    return 1 if scale == 1 else 4
 
 
 def _box_sums(layers: FloatArray, side_px: int) -> FloatArray:
