@@ -14,7 +14,7 @@ from rgbd_calib.geometry.depth_error import UNKNOWN_SLOPE
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.clouds import surfaces_of
-from rgbd_calib.pipeline.depth_cameras import joined, split, split_rig
+from rgbd_calib.pipeline.depth_cameras import joined, name_of, split, split_rig
 from rgbd_calib.pipeline.details import expectation
 from rgbd_calib.pipeline.evaluate import volume_corners
 from rgbd_calib.quality import CameraUpdate, ExpectedAlignment
@@ -91,7 +91,12 @@ def refine_by_clouds(rig: Rig, recording: Recording, pose_sd_m: float | None = N
     CalibrationError
         The rig states no covariance, or no two cameras see the same surfaces.
     """
-    recording = split(recording)
+    given, recording = recording, split(recording)
+    if pose_sd_m is not None and recording is not given:
+        raise CalibrationError(
+            f"{recording.path}: --pose-sd is for depth that is registered to colour; the poses of depth cameras beside their colour "
+            "cameras would be lost. Calibrate the rig with this version, and refine it by its own covariance"
+        )
     apart_rig = split_rig(rig, recording)
     stated = replace(apart_rig, cameras={name: _with_depth_errors(own) for name, own in apart_rig.cameras.items()})
     joint = _joint(stated, pose_sd_m)
@@ -105,25 +110,27 @@ def refine_by_clouds(rig: Rig, recording: Recording, pose_sd_m: float | None = N
     corners = volume_corners(known)
     seeing = sorted({name for surfaces in instants for name in surfaces})
     before, after = (expectation(r, j, corners, seeing) for r, j in ((known, joint), (found.rig, found.joint)))
-    assert before is not None and after is not None  # two cameras see the same surfaces
+    if before is None or after is None:
+        raise CalibrationError(
+            f"{recording.path}: no point of the working volume is seen by two cameras with depth; nothing to compare. "
+            "Calibrate the rig again"
+        )
     cameras = apart_rig.cameras | {
         name: replace(apart_rig.cameras[name], T_world_color=own.T_world_color, covariance=own.covariance)
         for name, own in found.rig.cameras.items()
     }
     in_pairs = {name for pair in found.patches for name in pair}
+    devices = {name.removesuffix(name_of("")) for name in in_pairs}
+    seen = {name: own for name, own in cameras.items() if name in recording.cameras}
+    merged = joined(replace(apart_rig, cameras=seen), recording.cameras, found.joint).cameras
     return CloudRefinement(
-        _with_reports(
-            rig, joined(replace(apart_rig, cameras=cameras), recording.cameras, found.joint), recording, after
-        ),
+        _with_reports(rig, {name: merged.get(name, cameras[name]) for name in rig.cameras}, recording, after),
         before,
         after,
         {" - ".join(pair): count for pair, count in found.patches.items()},
-        {
-            name: _motion(known.cameras[name].T_world_color, own.T_world_color)
-            for name, own in found.rig.cameras.items()
-        },
+        {name: _motion(rig.cameras[name].T_world_color, cameras[name].T_world_color) for name in rig.cameras},
         _free(found, in_pairs),
-        tuple(name for name in seeing if name not in in_pairs),
+        tuple(name for name in rig.cameras if name not in devices),
         found.surprise,
     )
 
@@ -171,9 +178,9 @@ def _free(found: Fusion, cameras: set[str]) -> dict[str, tuple[str, ...]]:
     return out
 
 
-def _with_reports(rig: Rig, refined: Rig, recording: Recording, after: ExpectedAlignment) -> Rig:
+def _with_reports(rig: Rig, refined: Mapping[str, RigCamera], recording: Recording, after: ExpectedAlignment) -> Rig:
     reports = []
-    for name, own in refined.cameras.items():
+    for name, own in refined.items():
         moved_m, turned_rad = _motion(rig.cameras[name].T_world_color, own.T_world_color)
         reports.append(
             CameraUpdate(
@@ -192,4 +199,4 @@ def _with_reports(rig: Rig, refined: Rig, recording: Recording, after: ExpectedA
         residuals_sha256=None,
         updates=(*(rig.quality.updates or ()), *reports),
     )
-    return replace(refined, quality=quality)
+    return replace(rig, cameras=dict(refined), quality=quality)

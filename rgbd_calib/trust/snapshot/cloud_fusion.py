@@ -101,7 +101,7 @@ def fuse_clouds(rig: Rig, joint: JointCovariance, instants: Sequence[Mapping[str
     return Fusion(
         replace(rig, cameras=rig.cameras | cameras),
         replace(joint, matrix=after),
-        _by_clouds(rig, joint, rows, theta, noise.w, of_pose),
+        _by_clouds(_anchor(rig, rows), joint, rows, theta, noise.w, of_pose),
         used,
         noise.sigma,
         noise.inflation,
@@ -206,12 +206,18 @@ def _weights(r: FloatArray, leverage: FloatArray) -> tuple[float, FloatArray]:
     return sigma, np.clip(1 - (size / (_TUKEY * sigma)) ** 2, 0, 1) ** 2
 
 
+def _anchor(rig: Rig, rows: CloudRows) -> str:
+    """The camera that others are free against: the reference, or one that sees what others see."""
+    seeing = {name for pair in rows.pairs for name in pair}
+    return rig.reference if rig.reference in seeing else next(name for name in rig.cameras if name in seeing)
+
+
 def _by_clouds(
-    rig: Rig, joint: JointCovariance, rows: CloudRows, theta: FloatArray, w: FloatArray, of_pose: BoolArray
+    anchor: str, joint: JointCovariance, rows: CloudRows, theta: FloatArray, w: FloatArray, of_pose: BoolArray
 ) -> dict[str, FloatArray]:
-    """Covariance of poses that may be anywhere, but for the reference's."""
+    """Covariance of poses that may be anywhere, but for the anchor's."""
     wide = np.where(of_pose | of_pose[:, None], 0.0, joint.matrix)
-    free = {name: own["pose"] for name, own in joint.parameters.items() if name != rig.reference}
+    free = {name: own["pose"] for name, own in joint.parameters.items() if name != anchor}
     for at in free.values():
         wide[at, at] = ANYWHERE**2
     L = _factor(wide)
