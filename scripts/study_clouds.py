@@ -3,7 +3,8 @@
     python scripts/study_clouds.py --work DIR --seeds 4
 
 Rigs of 4 cameras on an arc and in a ring, in the furnished room, simulated with the errors of real ones: as calibrated; from 6 sets
-of images alone; with poses spoiled by some mm, that is stated; and spoiled without a word. What is in DIR already is not
+of images alone; with poses spoiled by some mm, that is stated (--pose-sd); and spoiled without a word. Clouds are those of the empty room
+(mean of 30 frames), and of a recording of the board that the rig was not made from (5 single frames). What is in DIR already is not
 made again.
 """
 
@@ -20,25 +21,26 @@ from typing import Any
 import numpy as np
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.io.rig import read_rig, write_rig
+from rgbd_calib.io.recording import open_recording
+from rgbd_calib.io.rig import read_boards, read_rig, write_rig
+from rgbd_calib.pipeline.evaluate import against_truth
+from rgbd_calib.pipeline.refine_clouds import refine_by_clouds
 
 SPOILED_MM = 5.0
 """RMS displacement of points at 2 m."""
 KINDS = {
-    "calibrated": (),
-    "6 sets": (),
-    f"spoiled by {SPOILED_MM:g} mm, stated": ("--pose-sd", f"{SPOILED_MM:g}"),
-    f"spoiled by {SPOILED_MM:g} mm, not stated": (),
+    "calibrated": None,
+    "6 sets": None,
+    f"spoiled by {SPOILED_MM:g} mm, stated": SPOILED_MM,
+    f"spoiled by {SPOILED_MM:g} mm, not stated": None,
 }
-
-
-def call(*words: object) -> subprocess.CompletedProcess[str]:
-    """A command of rgbd-calib."""
-    return subprocess.run([sys.executable, "-m", "rgbd_calib", *map(str, words)], capture_output=True, text=True)
+"""And what is given as --pose-sd."""
 
 
 def made(*words: object) -> None:
-    if (result := call(*words)).returncode:
+    """Run a command of rgbd-calib."""
+    result = subprocess.run([sys.executable, "-m", "rgbd_calib", *map(str, words)], capture_output=True, text=True)
+    if result.returncode:
         sys.exit(f"{' '.join(map(str, words))}: {result.stderr[-500:]}")
 
 
@@ -77,17 +79,18 @@ def spoiled(path: Path, rng: np.random.Generator) -> Any:
     return replace(rig, cameras=rig.cameras | cameras)
 
 
-def refined(folder: Path, rig: Path, options: tuple[str, ...]) -> dict[str, Any]:
-    """Errors against the truth before and after, as stated, and whether it was refused."""
-    out = rig.with_name(f"{rig.stem}.refined.yaml")
-    result = call(
-        "refine", rig, "--clouds", folder / "empty" / "old", *options, "--json", "--force", "--overwrite", "-o", out
-    )
-    if result.returncode:
-        sys.exit(f"{rig}: {result.stderr[-500:]}")
-    truth = folder / "full" / "truth.yaml"
-    errors = [json.loads(call("evaluate", path, "--truth", truth, "--json").stdout) for path in (rig, out)]
-    return json.loads(result.stdout) | {"true_mm": [e["all"]["mean_mm"] for e in errors]}
+def refined(folder: Path, path: Path, clouds: Path, pose_sd_mm: float | None) -> dict[str, Any]:
+    """Errors against the truth before and after, as stated, and why it was refused."""
+    rig, truth = read_rig(path), folder / "full" / "truth.yaml"
+    found = refine_by_clouds(rig, open_recording(clouds), None if pose_sd_mm is None else pose_sd_mm / 1e3)
+    board = open_recording(folder / "full" / "extrinsic").board
+    errors = [against_truth(r, read_rig(truth), read_boards(truth), board).summary().all for r in (rig, found.rig)]
+    return {
+        "true_mm": [e.mean_mm for e in errors],
+        "stated_mm": [found.before.mean_mm, found.after.mean_mm],
+        "surprise": found.surprise,
+        "refused": found.refused,
+    }
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -96,14 +99,14 @@ def table(rows: list[dict[str, Any]]) -> str:
         "| rig | error before, mm: true, stated | with clouds, mm: true, stated | refused | written: better, worse |",
         "|---|---|---|---|---|",
     ]
-    for layout, kind in dict.fromkeys((row["layout"], row["kind"]) for row in rows):
-        mine = [row for row in rows if (row["layout"], row["kind"]) == (layout, kind)]
+    for key in sorted({tuple(row[k] for k in ("layout", "kind", "clouds")) for row in rows}):
+        mine = [row for row in rows if tuple(row[k] for k in ("layout", "kind", "clouds")) == key]
         before, after = np.array([row["true_mm"] for row in mine]).T
-        stated = [np.mean([row[f"expected_{when}_mm"] for row in mine]) for when in ("before", "after")]
+        stated = np.mean([row["stated_mm"] for row in mine], axis=0)
         written = np.array([not row["refused"] for row in mine])
         better = int(np.sum(written & (after < before)))
         lines.append(
-            f"| {layout}, {kind} | {before.mean():.2f}, {stated[0]:.2f} | {after.mean():.2f}, {stated[1]:.2f} | "
+            f"| {', '.join(key)} | {before.mean():.2f}, {stated[0]:.2f} | {after.mean():.2f}, {stated[1]:.2f} | "
             f"{np.sum(~written)} of {len(mine)} | {better}, {written.sum() - better} |"
         )
     return "\n".join(lines)
@@ -122,11 +125,12 @@ def main() -> None:
             folder = args.work / f"{layout}{seed}"
             folder.mkdir(parents=True, exist_ok=True)
             recordings(folder, layout, seed, args.width)
-            for (kind, options), rig in zip(KINDS.items(), rigs(folder, seed), strict=True):
-                row = {"layout": layout, "seed": seed, "kind": kind} | refined(folder, rig, options)
-                rows.append(row)
-                true, stated = row["true_mm"], [row["expected_before_mm"], row["expected_after_mm"]]
-                print(layout, seed, kind, np.round(true, 2), np.round(stated, 2), row["refused"], file=sys.stderr)
+            for (kind, pose_sd_mm), rig in zip(KINDS.items(), rigs(folder, seed), strict=True):
+                other = folder / ("full" if kind == "6 sets" else "few") / "extrinsic"
+                for what, clouds in (("empty room", folder / "empty" / "old"), ("room with a board", other)):
+                    key = {"layout": layout, "seed": seed, "kind": kind, "clouds": what}
+                    rows.append(key | refined(folder, rig, clouds, pose_sd_mm))
+                    print(rows[-1], file=sys.stderr, flush=True)
     (args.work / "rows.json").write_text(json.dumps(rows, indent=1))
     print(table(rows))
 

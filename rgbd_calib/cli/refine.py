@@ -33,7 +33,8 @@ from rgbd_calib.cli.options import (
     "--pose-sd",
     type=Number(0.01, 1000.0),
     metavar="MM",
-    help="With --clouds: by how much the poses of RIG are thought to displace points at 2 m (RMS), in place of the covariance in its file.",
+    help="With --clouds: by how much the poses of RIG are thought to displace points at 2 m (RMS), on top of the covariance in "
+    "its file.",
 )
 @click.option("--force", is_flag=True, help="With --clouds: write the rig even if it is not expected to be better.")
 @output_option("rig.yaml")

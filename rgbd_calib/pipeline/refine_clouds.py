@@ -58,8 +58,7 @@ class CloudRefinement:
         if self.surprise > _CONTRADICTION:
             out.append(
                 f"clouds and rig are {np.sqrt(self.surprise):.1f} standard deviations apart, {np.sqrt(_CONTRADICTION):g} allowed: "
-                "a camera moved, or depth changed, since the calibration. Calibrate again, or state what the poses are off by: "
-                "--pose-sd MM"
+                "a camera moved, or depth changed, since the calibration. Calibrate again, or state by how much: --pose-sd MM"
             )
         for camera, free in self.free.items():
             out.append(
@@ -84,7 +83,7 @@ def refine_by_clouds(rig: Rig, recording: Recording, pose_sd_m: float | None = N
 
     Parameters
     ----------
-    pose_sd_m : by how much the poses are thought to move points `DISTANCE_M` away (RMS), in place of what the rig's file says.
+    pose_sd_m : by how much cameras are thought to have moved points `DISTANCE_M` away (RMS), beyond what the rig's file says.
 
     Raises
     ------
@@ -159,7 +158,7 @@ def _joint(rig: Rig, pose_sd_m: float | None) -> JointCovariance:
         raise CalibrationError(
             f"quality.expected_alignment.joint is of other cameras: {', '.join(missing)}. Calibrate again"
         )
-    return joint if pose_sd_m is None else joint.with_poses(rig.reference, pose_sd_m, DISTANCE_M)
+    return joint if pose_sd_m is None else joint.loosened(rig.reference, pose_sd_m, DISTANCE_M)
 
 
 def _motion(T_before: FloatArray, T_after: FloatArray) -> tuple[float, float]:

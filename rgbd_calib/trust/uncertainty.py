@@ -83,15 +83,13 @@ class JointCovariance:
             A[np.ix_(own["pose"], own["pose"])] = Ad
         return replace(self, matrix=A @ self.matrix @ A.T)
 
-    def with_poses(self, reference: str, sd_m: float, distance_m: float) -> JointCovariance:
-        """With poses that move points at this distance by so much (RMS), half of it by turning; the reference's is exact."""
+    def loosened(self, reference: str, sd_m: float, distance_m: float) -> JointCovariance:
+        """With cameras that moved since, but the reference: points at this distance by so much (RMS), half of it by turning."""
         sd = np.repeat([sd_m / (2 * distance_m), sd_m / np.sqrt(6)], 3)  # two of three turns move a point
         C = self.matrix.copy()
         for name, own in self.parameters.items():
-            at = own["pose"]
-            C[at], C[:, at] = 0, 0
             if name != reference:
-                C[at, at] = sd**2
+                C[own["pose"], own["pose"]] += sd**2
         return replace(self, matrix=C)
 
     @classmethod
@@ -185,14 +183,14 @@ def volume(corners_m: FloatArray, side: int) -> FloatArray:
     return points
 
 
-def observe(rig: Rig, name: str, points_m: FloatArray) -> Observed:
-    """What a camera reports of points (n, 3), metres, in the world."""
+def observe(rig: Rig, name: str, points_m: FloatArray, farthest_m: float = FARTHEST_M) -> Observed:
+    """What a camera reports of points (n, 3), metres, in the world, up to a depth."""
     own = rig.cameras[name]
     sensor = own.depth_sensor
     p = se3.transform(se3.inverse(own.T_world_color), points_m)
     p_depth = se3.transform(se3.inverse(sensor.camera.T_color_depth), p)
     z = p_depth[:, 2]
-    seen = (z > NEAREST_M) & (z < FARTHEST_M)
+    seen = (z > NEAREST_M) & (z < farthest_m)
     with np.errstate(all="ignore"):
         pixels = own.intrinsics.project(p)
         depth_pixels, raw = sensor.report(p)

@@ -72,7 +72,7 @@ def fuse_clouds(rig: Rig, joint: JointCovariance, instants: Sequence[Mapping[str
     of_pose = np.zeros(len(joint.matrix), bool)
     for own in joint.parameters.values():
         of_pose[own["pose"]] = True
-    L, reach = _factor(joint.matrix), _factor(joint.with_poses(rig.reference, GATE_M, _REACH_AT_M).matrix)
+    L, reach = _factor(joint.matrix), _factor(joint.loosened(rig.reference, GATE_M, _REACH_AT_M).matrix)
     K, u = L.shape[1], np.zeros(L.shape[1])
     for _ in range(_ROUNDS):
         theta = L @ u

@@ -27,7 +27,7 @@ from rgbd_calib.trust import uncertainty
 from rgbd_calib.trust.snapshot.clouds import SharedPatches, shared_patches
 from rgbd_calib.trust.snapshot.surfaces import Surface
 from rgbd_calib.trust.uncertainty import JointCovariance, Observed
-from rgbd_calib.types import Rig
+from rgbd_calib.types import Rig, RigCamera
 
 LEAST_PATCHES = 50
 """Fewer in common are chance."""
@@ -106,7 +106,9 @@ def _of_pair(
 ) -> CloudRows:
     T = rig.cameras[pair[0]].T_world_color
     points = [se3.transform(T, p) for p in (patches.points_a_m, patches.points_b_m)]
-    looks = [uncertainty.observe(rig, name, p) for name, p in zip(pair, points, strict=True)]
+    looks = [
+        uncertainty.observe(rig, name, p, _reach_m(rig.cameras[name])) for name, p in zip(pair, points, strict=True)
+    ]
     used = np.flatnonzero(patches.wide & looks[0].seen & looks[1].seen)[::step]
     normals, n = patches.normals[used] @ T[:3, :3].T, len(used)
     J, variance = np.zeros((n, len(joint.matrix))), np.full(n, _ROUNDING_M**2)
@@ -123,6 +125,11 @@ def _of_pair(
     cell = _cells(patches.grid[used], surfaces[pair[0]].shape, _CELLS)
     distance = patches.distance_m[used]
     return CloudRows((pair,), np.zeros(n, int), distance, J, sparse.csr_array(shared), np.sqrt(variance), cell)
+
+
+def _reach_m(camera: RigCamera) -> float:
+    """Up to which the error of a camera's depth is known."""
+    return max(uncertainty.FARTHEST_M, camera.depth_bias.max_m if camera.depth_bias is not None else 0.0)
 
 
 def _beyond(
