@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rgbd_calib.errors import CalibrationError
+from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.depth_error import UNKNOWN_SLOPE
@@ -17,6 +17,7 @@ from rgbd_calib.pipeline.clouds import surfaces_of
 from rgbd_calib.pipeline.depth_cameras import joined, name_of, split, split_rig
 from rgbd_calib.pipeline.details import expectation
 from rgbd_calib.pipeline.evaluate import volume_corners
+from rgbd_calib.pipeline.held_out_frames import frames_of_calibration
 from rgbd_calib.quality import CameraUpdate, ExpectedAlignment
 from rgbd_calib.trust.snapshot.cloud_fusion import Fusion, fuse_clouds
 from rgbd_calib.trust.snapshot.clouds import GATE_M
@@ -87,6 +88,8 @@ def refine_by_clouds(rig: Rig, recording: Recording, pose_sd_m: float | None = N
 
     Raises
     ------
+    ConfigError
+        The rig was calibrated from this recording.
     CalibrationError
         The rig states no covariance, or no two cameras see the same surfaces.
     """
@@ -100,7 +103,12 @@ def refine_by_clouds(rig: Rig, recording: Recording, pose_sd_m: float | None = N
     stated = replace(apart_rig, cameras={name: _with_depth_errors(own) for name, own in apart_rig.cameras.items()})
     joint = _joint(stated, pose_sd_m)
     known = replace(stated, cameras={name: stated.cameras[name] for name in joint.parameters})
-    instants = [*surfaces_of(recording, known)]
+    used = frames_of_calibration(rig, given)
+    if used and len(used) == len(given.frames):
+        raise ConfigError(
+            f"{given.path}: all {len(used)} frames were used to calibrate this rig, and say nothing new of it. Record the scene again"
+        )
+    instants = [*surfaces_of(recording, known, used)]
     found = fuse_clouds(known, joint, instants)
     if found is None:
         raise CalibrationError(
@@ -123,7 +131,7 @@ def refine_by_clouds(rig: Rig, recording: Recording, pose_sd_m: float | None = N
     seen = {name: own for name, own in cameras.items() if name in recording.cameras}
     merged = joined(replace(apart_rig, cameras=seen), recording.cameras, found.joint).cameras
     return CloudRefinement(
-        _with_reports(rig, {name: merged.get(name, cameras[name]) for name in rig.cameras}, recording, after),
+        _with_reports(rig, {name: merged.get(name, cameras[name]) for name in rig.cameras}, given, after),
         before,
         after,
         {" - ".join(pair): count for pair, count in found.patches.items()},

@@ -12,7 +12,7 @@ from scipy import stats
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.depth_error import DepthBias
-from rgbd_calib.io.recording import CameraInfo, save_color, save_depth, write_dataset
+from rgbd_calib.io.recording import CameraInfo, open_recording, save_color, save_depth, write_dataset
 from rgbd_calib.io.rig import read_rig, write_rig
 from rgbd_calib.pipeline.details import expectation
 from rgbd_calib.pipeline.evaluate import volume_corners
@@ -217,3 +217,22 @@ def test_a_rig_without_covariance_needs_one_stated(run, tmp_path):
     assert run(*command, "--intrinsics", "x").status == 2
     assert run("refine", "c.csv", "-o", tmp_path / "x.yaml").status == 2
     assert run("refine", "c.csv", "--intrinsics", "x", "--force", "-o", tmp_path / "x.yaml").status == 2
+
+
+def test_cameras_that_share_no_surface_stay(run, tmp_path):
+    rng = np.random.default_rng(7)
+    apart = POSES | {"C3": se3.retract(np.eye(4), np.array([0, np.pi, 0, 0, 0, 0]))}
+    measured = seen({n: apart[n] for n in ("C1", "C2")}, CORNER, dict.fromkeys(apart, (0.0, 0.0)), rng)
+    measured["C3"] = np.full((LENS.height, LENS.width), 2.0)
+    recorded(tmp_path / "scene", measured)
+    stated(tmp_path / "rig.yaml", apart, joint_of(apart, pose_sd=2 * POSE_SD))
+    result = run("refine", tmp_path / "rig.yaml", "--clouds", tmp_path / "scene", "-o", tmp_path / "out.yaml", "--json")
+    assert result.status == 0, result.stderr
+    numbers = json.loads(result.stdout)
+    assert numbers["no_surface_in_common"] == ["C3"] and [*numbers["patches"]] == ["C1 - C2"]
+    np.testing.assert_allclose(read_rig(tmp_path / "out.yaml").cameras["C3"].T_world_color, apart["C3"], atol=1e-9)
+    again = read_rig(tmp_path / "rig.yaml")
+    images = open_recording(tmp_path / "scene").image_digests()
+    write_rig(tmp_path / "own.yaml", replace(again, provenance={"images_sha256": images}))
+    result = run("refine", tmp_path / "own.yaml", "--clouds", tmp_path / "scene", "-o", tmp_path / "own2.yaml")
+    assert result.status == 2 and "were used to calibrate this rig" in result.stderr
