@@ -86,15 +86,17 @@ def evaluate_clouds(rig_path: Path, path: Path) -> CloudAlignment:
 def surfaces_of(recording: Recording, rig: Rig, left_out: Sequence[str] = ()) -> Iterator[dict[str, Surface]]:
     """What the cameras with depth see of a scene, by camera, at each of some instants; some frames are left out."""
     cameras = common_cameras(recording, rig)
-    for frames in _instants(recording, [frame for frame in recording.frames if frame not in left_out]):
+    for frames in _instants(recording, left_out):
         found = {name: depth_of(recording, name, frames) for name in cameras}
         yield {name: Surface(rig.cameras[name], depth_m) for name, depth_m in found.items() if depth_m is not None}
 
 
-def _instants(recording: Recording, frames: list[str]) -> list[list[str]]:
+def _instants(recording: Recording, left_out: Sequence[str]) -> list[list[str]]:
     """Frames to take together: all of a still scene, single ones where a board is moved."""
     if recording.board is None:
-        return [frames]
+        with_depth = {frame for files in recording.depth_files.values() for frame in files}
+        return [sorted(with_depth - {*left_out})]
+    frames = [frame for frame in recording.frames if frame not in left_out]
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(MOST_FRAMES, len(frames))).round().astype(int))
     return [[frames[i]] for i in chosen]
 

@@ -30,8 +30,8 @@ DISTANCE_M = 2.0
 """Where a standard deviation of poses in millimetres is meant, and free directions are judged."""
 _LEAST_GAIN = 0.05
 """Of the expected error: a smaller one is none."""
-_CONTRADICTION = 9.0
-"""Mean square of what clouds tell against the rig, by both covariances: three deviations in the mean of all directions."""
+_CONTRADICTION = 4.0
+"""Mean square of what clouds tell against the rig, by both covariances: two deviations in the mean of all directions."""
 
 
 @dataclass(frozen=True)
@@ -61,10 +61,9 @@ class CloudRefinement:
                 f"clouds and rig are {np.sqrt(self.surprise):.1f} standard deviations apart, {np.sqrt(_CONTRADICTION):g} allowed: "
                 "a camera moved, or depth changed, since the calibration. Calibrate again, or state by how much: --pose-sd MM"
             )
-        for camera, free in self.free.items():
-            out.append(
-                f"the scene does not determine {camera}; free: {'; '.join(free)}. Put things in front of the cameras"
-            )
+        if self.free:
+            named = [f"{camera} ({'; '.join(free)})" for camera, free in self.free.items()]
+            out.append(f"the scene leaves cameras free: {', '.join(named)}. Put things in front of them")
         if self.gain_mm < _LEAST_GAIN * self.before.mean_mm:
             out.append(
                 f"the clouds add nothing: two cameras are expected to put the same point {self.before.mean_mm:.2f} mm apart by the "

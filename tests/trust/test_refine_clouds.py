@@ -14,6 +14,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.depth_error import DepthBias
 from rgbd_calib.io.recording import CameraInfo, open_recording, save_color, save_depth, write_dataset
 from rgbd_calib.io.rig import read_rig, write_rig
+from rgbd_calib.pipeline.clouds import surfaces_of
 from rgbd_calib.pipeline.details import expectation
 from rgbd_calib.pipeline.evaluate import volume_corners
 from rgbd_calib.pipeline.world import moved_rig
@@ -164,6 +165,17 @@ def recorded(folder, measured):
     )
 
 
+def test_all_depth_images_of_a_still_scene_count(tmp_path):
+    """Snapshots have one colour image and many in depth."""
+    recorded(tmp_path / "scene", {"C1": np.full((LENS.height, LENS.width), 2.0)})
+    for k in (1, 2, 3):
+        save_depth(tmp_path / "scene", "C1", f"{k:06d}", np.full((LENS.height, LENS.width), 8000 + 4 * k, np.uint16))
+    rig = Rig("C1", {"C1": RigCamera(LENS, np.eye(4), np.zeros((6, 6)))})
+    opened = open_recording(tmp_path / "scene")
+    means = [next(surfaces_of(opened, rig, left))["C1"].points_m[..., 2].mean() for left in ((), ("000000", "000001"))]
+    assert means == pytest.approx([2.0015, 2.0025], abs=1e-6)
+
+
 def stated(path, poses, joint):
     rig = rig_at(poses, joint)
     expected = expectation(rig, joint, volume_corners(rig), list(poses))
@@ -213,7 +225,7 @@ def test_a_rig_without_covariance_needs_one_stated(run, tmp_path):
     result = run(*command)
     assert result.status == 1 and "--pose-sd MM" in result.stderr
     result = run(*command, "--pose-sd", 5)
-    assert result.status == 1 and "the scene does not determine C2; free: " in result.stderr
+    assert result.status == 1 and "the scene leaves cameras free: C2 (" in result.stderr
     assert run(*command, "--intrinsics", "x").status == 2
     assert run("refine", "c.csv", "-o", tmp_path / "x.yaml").status == 2
     assert run("refine", "c.csv", "--intrinsics", "x", "--force", "-o", tmp_path / "x.yaml").status == 2
