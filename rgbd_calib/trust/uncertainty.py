@@ -152,6 +152,8 @@ class JointCovariance:
                 start += size
         if start != len(sd) or len(halves) != len(free) * (len(free) + 1) // 2 or not np.isfinite(halves).all():
             raise ValueError(f"{len(sd)} standard deviations and {len(halves)} numbers for {start} parameters")
+        if any(sizes.get("pose") != 6 or min(sizes.values()) < 0 for sizes in kept.sizes.values()):
+            raise ValueError("a pose of 6 parameters expected of each camera")
         R = np.zeros((len(free),) * 2)
         R[np.tril_indices(len(free))] = halves
         R /= np.maximum(np.linalg.norm(R, axis=1, keepdims=True), 1e-9)

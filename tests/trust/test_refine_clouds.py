@@ -154,6 +154,8 @@ def test_a_joint_covariance_is_kept_in_a_rig_file(tmp_path):
     assert np.abs((there.matrix[np.ix_(at, at)] - own) / np.outer(sd, sd)).max() < 4e-3
     with pytest.raises(ValueError, match="for 24 parameters"):
         JointCovariance.of_kept(replace(expected.joint, sd=expected.joint.sd[:-1]))
+    with pytest.raises(ValueError, match="a pose of 6"):
+        JointCovariance.of_kept(replace(expected.joint, sizes={n: {"intrinsics": 8} for n in POSES}))
 
 
 def recorded(folder, measured):
