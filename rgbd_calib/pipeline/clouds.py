@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -56,14 +56,8 @@ def evaluate_clouds(rig_path: Path, path: Path) -> CloudAlignment:
         No two cameras see the same surfaces.
     """
     rig, recording = read_rig(rig_path), open_recording(path)
-    cameras = common_cameras(recording, rig)
     pairs: dict[tuple[str, str], CloudGap] = {}
-    for frames in _instants(recording):
-        surfaces = {}
-        for name in cameras:
-            depth_m = depth_of(recording, name, frames)
-            if depth_m is not None:
-                surfaces[name] = Surface(rig.cameras[name], depth_m)
+    for surfaces in surfaces_of(recording, rig):
         for pair in combinations(surfaces, 2):
             gap = _gap(rig, surfaces, pair)
             pairs[pair] = pairs[pair].joined(gap) if pair in pairs else gap
@@ -89,11 +83,20 @@ def evaluate_clouds(rig_path: Path, path: Path) -> CloudAlignment:
     )
 
 
-def _instants(recording: Recording) -> list[list[str] | None]:
+def surfaces_of(recording: Recording, rig: Rig, left_out: Sequence[str] = ()) -> Iterator[dict[str, Surface]]:
+    """What the cameras with depth see of a scene, by camera, at each of some instants; some frames are left out."""
+    cameras = common_cameras(recording, rig)
+    for frames in _instants(recording, left_out):
+        found = {name: depth_of(recording, name, frames) for name in cameras}
+        yield {name: Surface(rig.cameras[name], depth_m) for name, depth_m in found.items() if depth_m is not None}
+
+
+def _instants(recording: Recording, left_out: Sequence[str]) -> list[list[str]]:
     """Frames to take together: all of a still scene, single ones where a board is moved."""
     if recording.board is None:
-        return [None]
-    frames = recording.frames
+        with_depth = {frame for files in recording.depth_files.values() for frame in files}
+        return [sorted(with_depth - {*left_out})]
+    frames = [frame for frame in recording.frames if frame not in left_out]
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(MOST_FRAMES, len(frames))).round().astype(int))
     return [[frames[i]] for i in chosen]
 

@@ -57,7 +57,7 @@ def expectation(
     )
     counted = Counted.POSES if only_poses else Counted.ALL
     numbers = (_mm(in_all.mean()), _mm(np.percentile(in_all, 95)), _mm(in_all.max()))
-    return ExpectedAlignment(counted, *numbers, pairs, grid)
+    return ExpectedAlignment(counted, *numbers, pairs, grid, joint.kept())
 
 
 def _mm(value_m: np.floating) -> float:

@@ -234,8 +234,16 @@ def _volume(truth: Rig, boards: Mapping[str, FloatArray], board: Board | None) -
     if boards and board is not None:
         corners = np.concatenate([se3.transform(T, board.corners_m()) for T in boards.values()])
     else:
-        corners = np.concatenate([_frustum(truth, name) for name in truth.cameras])
+        corners = volume_corners(truth)
     return uncertainty.volume(corners, GRID)
+
+
+def volume_corners(rig: Rig) -> FloatArray:
+    """Points (n, 3), metres, in the world, about the working volume: that of the calibration, else what the cameras see."""
+    expected = rig.quality.expected_alignment
+    if expected is not None and expected.grid is not None:
+        return se3.transform(rig.cameras[rig.reference].T_world_color, expected.grid.points_in_reference_m)
+    return np.concatenate([_frustum(rig, name) for name in rig.cameras])
 
 
 def _frustum(truth: Rig, name: str) -> FloatArray:

@@ -107,7 +107,7 @@ def numbers_of(rig: Rig, verdict: Verdict, truth: MeasuredAlignment | None) -> d
         "headline": verdict.headline,
         "reasons": list(verdict.reasons),
         "next_steps": list(verdict.next_steps),
-        "expected": None if expected is None else replace(expected, grid=None),
+        "expected": None if expected is None else replace(expected, grid=None, joint=None),
         "measured": rig.quality.alignment_on_recording,
         "truth": truth,
         "corrected": [own.text for own in rig.quality.corrected or ()],

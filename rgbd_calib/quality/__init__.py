@@ -29,6 +29,7 @@ from rgbd_calib.quality.course import (
     StartingRig,
     WeightRound,
 )
+from rgbd_calib.quality.joint import JointErrors
 from rgbd_calib.quality.record import Record, overlaid
 from rgbd_calib.quality.self_check import BoardScaleEstimate, Finding, HeldOutPart, Level, ScoreOutcome, SelfCheck
 from rgbd_calib.quality.truth import TrueChange, TrueWall
@@ -51,6 +52,7 @@ __all__ = [
     "FloorFit",
     "HeldOutPart",
     "InitialStep",
+    "JointErrors",
     "LensChoice",
     "Level",
     "MeasuredAlignment",

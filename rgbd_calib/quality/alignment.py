@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.quality.joint import JointErrors
 from rgbd_calib.quality.record import Record
 
 
@@ -46,6 +47,8 @@ class ExpectedAlignment(Record):
     worst_mm: float
     pairs: Mapping[str, ExpectedPair]
     grid: ExpectedGrid | None = None
+    joint: JointErrors | None = None
+    """What it is expected by; None where there are too many parameters to keep."""
 
     @property
     def lower_bound(self) -> bool:

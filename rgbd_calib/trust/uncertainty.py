@@ -20,21 +20,29 @@ B. C. Carlson, Numerical computation of real or complex elliptic integrals, Nume
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import combinations
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import elliprg
 
 from rgbd_calib.geometry import camera, se3
 from rgbd_calib.geometry.depth_error import PolynomialField
 from rgbd_calib.geometry.linear import IntArray
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.quality import JointErrors
 from rgbd_calib.types import Rig
 
 NEAREST_M, FARTHEST_M = 0.3, 4.0
 """Depths at which a camera of this kind measures."""
+
+OF_PLACES = ("pose", "intrinsics", "depth bias", "depth ripple", "depth tilt", "depth field")
+"""Blocks that :func:`place_derivatives` knows."""
+MOST_KEPT = 1500
+"""Parameters of a joint covariance in a rig file: of 20 cameras, 3 MB."""
 
 _MEAN_LENGTH = 2 * np.sqrt(2 / np.pi)  # of a Gaussian with three unit variances
 
@@ -75,6 +83,84 @@ class JointCovariance:
             A[np.ix_(own["pose"], own["pose"])] = Ad
         return replace(self, matrix=A @ self.matrix @ A.T)
 
+    def loosened(self, reference: str, sd_m: float, distance_m: float) -> JointCovariance:
+        """With cameras that moved since, but the reference: points at this distance by so much (RMS), half of it by turning."""
+        sd = np.repeat([sd_m / (2 * distance_m), sd_m / np.sqrt(6)], 3)  # two of three turns move a point
+        C = self.matrix.copy()
+        for name, own in self.parameters.items():
+            if name != reference:
+                C[own["pose"], own["pose"]] += sd**2
+        return replace(self, matrix=C)
+
+    @classmethod
+    def of_parts(cls, rig: Rig) -> JointCovariance:
+        """Of a rig that states no more than the covariance of each part, as if these were independent."""
+        parts: list[FloatArray] = []
+        parameters: dict[str, dict[str, IntArray]] = {}
+        for name, own in rig.cameras.items():
+            blocks = {"pose": own.covariance}
+            if own.statistics.intrinsics_sd is not None:
+                blocks["intrinsics"] = np.diag(np.array(own.statistics.intrinsics_sd) ** 2)
+            if own.depth_bias is not None and own.depth_bias.covariance is not None:
+                n = len(own.depth_bias.coefficients)
+                blocks["depth bias"] = own.depth_bias.covariance[:n, :n]
+                blocks["depth ripple"] = own.depth_bias.covariance[n:, n:]
+            if isinstance(own.depth_field, PolynomialField) and own.depth_field.covariance is not None:
+                blocks["depth field"] = own.depth_field.covariance
+            start = sum(len(part) for part in parts)
+            ends = start + np.cumsum([len(block) for block in blocks.values()])
+            at = [np.arange(end - len(block), end) for end, block in zip(ends, blocks.values(), strict=True)]
+            parameters[name] = dict(zip(blocks, at, strict=True))
+            parts += blocks.values()
+        return cls(block_diag(*parts), parameters)
+
+    def kept(self) -> JointErrors | None:
+        """For a rig file, what places depend on; None where that is more than `MOST_KEPT` parameters."""
+        blocks = {name: {b: at for b, at in own.items() if b in OF_PLACES} for name, own in self.parameters.items()}
+        order = np.concatenate([at for own in blocks.values() for at in own.values()])
+        if len(order) > MOST_KEPT:
+            return None
+        C = self.matrix[np.ix_(order, order)]
+        sd = np.sqrt(np.maximum(np.diag(C), 0.0))
+        free = np.flatnonzero(sd > 0)
+        values, vectors = np.linalg.eigh(C[np.ix_(free, free)] / np.outer(sd[free], sd[free]))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))  # which may be singular, as no Cholesky factor can be
+        R = np.asarray(np.linalg.qr(root.T)[1]).T
+        rows, columns = np.tril_indices(len(free))
+        text = base64.b64encode(R[rows, columns].astype("<f2").tobytes()).decode("ascii")
+        sizes = {name: {b: len(at) for b, at in own.items()} for name, own in blocks.items()}
+        return JointErrors(sizes, tuple(sd.tolist()), text)
+
+    @classmethod
+    def of_kept(cls, kept: JointErrors) -> JointCovariance:
+        """As a rig file has it.
+
+        Raises
+        ------
+        ValueError
+            The parts do not belong together.
+        """
+        sd = np.array(kept.sd)
+        free = np.flatnonzero(sd > 0)
+        halves = np.frombuffer(base64.b64decode(kept.factor, validate=True), "<f2").astype(float)
+        parameters: dict[str, dict[str, IntArray]] = {}
+        start = 0
+        for name, sizes in kept.sizes.items():
+            parameters[name] = {}
+            for block, size in sizes.items():
+                parameters[name][block] = np.arange(start, start + size)
+                start += size
+        if start != len(sd) or len(halves) != len(free) * (len(free) + 1) // 2 or not np.isfinite(halves).all():
+            raise ValueError(f"{len(sd)} standard deviations and {len(halves)} numbers for {start} parameters")
+        if any(sizes.get("pose") != 6 or min(sizes.values()) < 0 for sizes in kept.sizes.values()):
+            raise ValueError("a pose of 6 parameters expected of each camera")
+        R = np.zeros((len(free),) * 2)
+        R[np.tril_indices(len(free))] = halves
+        R /= np.maximum(np.linalg.norm(R, axis=1, keepdims=True), 1e-9)
+        C = np.zeros((len(sd),) * 2)
+        C[np.ix_(free, free)] = (R @ R.T) * np.outer(sd[free], sd[free])
+        return cls(C, parameters)
+
 
 @dataclass(frozen=True)
 class ExpectedErrors:
@@ -99,14 +185,14 @@ def volume(corners_m: FloatArray, side: int) -> FloatArray:
     return points
 
 
-def observe(rig: Rig, name: str, points_m: FloatArray) -> Observed:
-    """What a camera reports of points (n, 3), metres, in the world."""
+def observe(rig: Rig, name: str, points_m: FloatArray, farthest_m: float = FARTHEST_M) -> Observed:
+    """What a camera reports of points (n, 3), metres, in the world, up to a depth."""
     own = rig.cameras[name]
     sensor = own.depth_sensor
     p = se3.transform(se3.inverse(own.T_world_color), points_m)
     p_depth = se3.transform(se3.inverse(sensor.camera.T_color_depth), p)
     z = p_depth[:, 2]
-    seen = (z > NEAREST_M) & (z < FARTHEST_M)
+    seen = (z > NEAREST_M) & (z < farthest_m)
     with np.errstate(all="ignore"):
         pixels = own.intrinsics.project(p)
         depth_pixels, raw = sensor.report(p)
@@ -200,7 +286,7 @@ def pattern_covariance(rig: Rig, name: str, observed: Observed) -> FloatArray:
     field = rig.cameras[name].depth_field
     if not isinstance(field, PolynomialField):
         return np.zeros((len(observed.z_m), 3, 3))
-    ray = _rays(rig, name, observed)
+    ray = rays_of(rig, name, observed)
     return np.asarray(field.pattern_variance_m2(observed.raw_m)[:, None, None] * ray[..., :, None] * ray[..., None, :])
 
 
@@ -209,10 +295,10 @@ def by_held_depth(rig: Rig, name: str, observed: Observed) -> FloatArray:
     bias = rig.cameras[name].depth_bias
     if bias is None:
         return np.zeros((len(observed.z_m), 3))
-    return bias.held_sd_m(observed.raw_m)[:, None] * _rays(rig, name, observed)
+    return bias.held_sd_m(observed.raw_m)[:, None] * rays_of(rig, name, observed)
 
 
-def _rays(rig: Rig, name: str, observed: Observed) -> FloatArray:
+def rays_of(rig: Rig, name: str, observed: Observed) -> FloatArray:
     """(n, 3), in the world, by which places move for each metre of depth."""
     own = rig.cameras[name]
     return own.intrinsics.rays(observed.pixels_px) @ own.T_world_color[:3, :3].T

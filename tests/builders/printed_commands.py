@@ -26,6 +26,7 @@ NOT_RUN = {
     "calibrate monday --update rig.yaml --snapshot": "needs an empty scene; tests/test_snapshot.py has one",
     "verify rig.yaml monday --snapshot": "the same",
     "evaluate rig.yaml --clouds": "the same; tests/test_clouds.py runs it",
+    "refine rig.yaml --clouds": "the same; tests/trust/test_refine_clouds.py runs it",
     "view": "waits for its window",
     "import left.oni": "needs the OpenNI2 runtime; tests/test_import.py runs it",
     "import rig.mcap": "tests/test_import_bags.py runs it on bags that it writes",

@@ -10,6 +10,9 @@ Limits: point to point, as in the paper. Neighbours slide along smooth surfaces,
 start must be good to about the bound; sigma_3D is then the distance of neighbours (sampling and all), the pairs are not
 independent, and the covariance is too small. It is for rigs where no board was seen, or to polish one that is known.
 
+It is the paper's term, for comparison with the paper, and called from Python alone. The command `refine RIG --clouds` is
+another estimator, point to plane with a covariance that holds (:mod:`rgbd_calib.trust.snapshot.cloud_fusion`).
+
 References
 ----------
 P. Besl, N. McKay, PAMI 14(2), 1992 (ICP); D. Chetverikov, D. Stepanov, P. Krsek, IVC 23(3), 2005 (trimming).

@@ -27,6 +27,49 @@ LAG = 2
 
 
 @dataclass(frozen=True)
+class SharedPatches:
+    """The grid of patches of camera a, and which of them camera b sees from the same side; all in a's colour frame."""
+
+    grid: np.ndarray
+    """(n, 2), int, pixels of a's depth image."""
+    points_a_m: FloatArray
+    """(n, 3), means of a's patches."""
+    points_b_m: FloatArray
+    """(n, 3), means of b's patches at the pixels where b sees a's."""
+    normals: FloatArray
+    """(n, 3), mean of both normals."""
+    both: np.ndarray
+    """(n,) bool."""
+    wide: np.ndarray
+    """(n,) bool: of these, flat in the next window of `SCALES` too, in both: no fold is near."""
+    share: float
+    """Share of a's patches that b sees too."""
+
+    @property
+    def distance_m(self) -> FloatArray:
+        """(n,), signed, along the mean normal."""
+        return np.asarray(np.einsum("ni,ni->n", self.normals, self.points_b_m - self.points_a_m))
+
+
+def shared_patches(a: Surface, b: Surface, T_a_b: FloatArray) -> SharedPatches:
+    """Patches that two cameras see; T_a_b is (4, 4), p_a = T_a_b @ p_b in the colour cameras' frames."""
+    grid = a.grid()
+    planes = a.patches(grid)
+    pixels, inside = b.pixels_of(se3.transform(se3.inverse(T_a_b), planes.points_m))
+    there = b.patches(pixels)
+    points, normals = se3.transform(T_a_b, there.points_m), there.normals @ T_a_b[:3, :3].T
+    mean = planes.normals + normals
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-9)
+    distance = np.einsum("ni,ni->n", mean, points - planes.points_m)
+    to_b = T_a_b[:3, 3] - planes.points_m
+    facing = np.einsum("ni,ni->n", planes.normals, to_b) > _FACING_COS * np.linalg.norm(to_b, axis=1)
+    same = np.einsum("ni,ni->n", planes.normals, normals) > _SAME_NORMAL_COS
+    both = planes.good & inside & there.good & facing & same & (np.abs(distance) < GATE_M)
+    wide = both & planes.wide & there.wide
+    return SharedPatches(grid, planes.points_m, points, mean, both, wide, float(both.sum() / max(planes.good.sum(), 1)))
+
+
+@dataclass(frozen=True)
 class CloudGap:
     """Distances of the patches of one camera from another's surface."""
 
@@ -53,23 +96,11 @@ class CloudGap:
 
 def cloud_gap(a: Surface, b: Surface, T_a_b: FloatArray) -> CloudGap:
     """Distances of a's patches from b's surface; T_a_b is (4, 4), p_a = T_a_b @ p_b in the colour cameras' frames."""
-    grid = a.grid()
-    planes = a.patches(grid)
-    T_b_a = se3.inverse(T_a_b)
-    pixels, inside = b.pixels_of(se3.transform(T_b_a, planes.points_m))
-    there = b.patches(pixels)
-    points, normals = se3.transform(T_a_b, there.points_m), there.normals @ T_a_b[:3, :3].T
-    mean = planes.normals + normals
-    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-9)
-    distance = np.einsum("ni,ni->n", mean, points - planes.points_m)
-    to_b = T_a_b[:3, 3] - planes.points_m
-    facing = np.einsum("ni,ni->n", planes.normals, to_b) > _FACING_COS * np.linalg.norm(to_b, axis=1)
-    same = np.einsum("ni,ni->n", planes.normals, normals) > _SAME_NORMAL_COS
-    both = planes.good & inside & there.good & facing & same & (np.abs(distance) < GATE_M)
-    columns = len(np.unique(grid[:, 0]))
-    image = np.where(both, distance, np.nan).reshape(-1, columns)
+    shared = shared_patches(a, b, T_a_b)
+    distance = shared.distance_m
+    columns = len(np.unique(shared.grid[:, 0]))
+    image = np.where(shared.both, distance, np.nan).reshape(-1, columns)
     products = np.concatenate(
         [(image[LAG:] * image[:-LAG]).ravel(), (image[:, LAG:] * image[:, :-LAG]).ravel()]
     )  # fmt: skip
-    share = float(both.sum() / max(planes.good.sum(), 1))
-    return CloudGap(distance[both], products[np.isfinite(products)], share)
+    return CloudGap(distance[shared.both], products[np.isfinite(products)], shared.share)
