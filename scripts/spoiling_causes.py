@@ -78,7 +78,7 @@ CAUSES = {
     "one camera's disparity shifts by 0.15 px half-way": "C2's depth .*changed at frame 0000(1[0-4])",
     "one camera's depth averaged with the frame before": "C2's depth|depth of .*C2",
     "one camera's depth images are another camera's": "C2's depth|C2: .*depth",
-    "wall distances of one camera in reverse order": "C2: .*distances",
+    "wall distances of one camera in reverse order": "C2: .*distances of the bias recording",
     "wall distances of one camera 1 % too long": "C2: written distances of walls .*times as long",
     "the wall bulges by 6 mm": "walls",
     "intrinsics file: one camera's cx and cy exchanged": "C2's intrinsics",

@@ -135,7 +135,7 @@ def check_depth_scale(
     Raises
     ------
     CalibrationError
-        The depth of a camera is 25 % off, in the median of its views: names the cameras, and what to look at.
+        The depth of a camera is 25 % off, in the median of its views: names the cameras, and what to look at. Or its bias is.
     """
     ratios: dict[str, list[float]] = {}
     for p in posed:
@@ -151,6 +151,14 @@ def check_depth_scale(
     if not wrong:
         return
     for name in wrong:
+        raw = [depth_over_pixels(p, board, None) for p in posed if p.view.camera == name and name in biases]
+        measured = float(np.median([r for r in raw if r is not None] or [np.nan]))
+        if 1 / WITHIN < measured < WITHIN:
+            raise CalibrationError(
+                f"{name}: depth on the board agrees with the pixels as it is measured ({measured:.3g} of the distance), and not with its "
+                f"depth bias taken off ({wrong[name]:.3g}). Check the distances of the bias recording, and that they stand beside "
+                "the right frames"
+            )
         depth_m = np.concatenate([p.view.depth_m for p in posed if p.view.camera == name])
         if clipped_share(depth_m) > CLIPPED_SHARE:
             raise CalibrationError(

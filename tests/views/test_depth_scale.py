@@ -10,7 +10,7 @@ import pytest
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.simulation.session import BOARD, draw_scene
 from rgbd_calib.simulation.views import true_views
-from rgbd_calib.types import BoardView
+from rgbd_calib.types import BoardView, DepthBias
 from rgbd_calib.views.board_pose import pose_view
 from rgbd_calib.views.depth_scale import check_axis, check_depth_scale, growth_with_ray
 
@@ -54,3 +54,10 @@ def test_another_unit_is_named():
     with pytest.raises(CalibrationError, match="C2: depth_scale looks 10 times too large"):
         check_depth_scale(posed(lambda view, rays: 10 * view.depth_m, ("C2",)), BOARD, {})
     check_depth_scale(posed(), BOARD, {})
+
+
+def test_a_bias_that_makes_good_depth_wrong_is_named():
+    with pytest.raises(
+        CalibrationError, match=r"^C2: depth on the board agrees .* as it is measured .* distances of the bias"
+    ):
+        check_depth_scale(posed(), BOARD, {"C2": DepthBias((0.0, -0.4), 0.5, 4.0, 0.0)})
