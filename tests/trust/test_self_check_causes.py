@@ -7,11 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.trust.self_check import SelfCheckParams
 from rgbd_calib.trust.self_check import motion as motion_check
 from rgbd_calib.trust.self_check.findings import Finding
 from rgbd_calib.trust.self_check.motion import check_motion
-from rgbd_calib.trust.self_check.walls import WallDistances, check_walls
+from rgbd_calib.trust.self_check.walls import WallDistances, check_bends, check_walls
 
 TRUE_M = np.linspace(0.6, 4.0, 10)
 
@@ -56,3 +57,16 @@ def test_a_lens_is_the_cause_only_if_it_leaves_views_that_agree(monkeypatch, lef
     found = check_motion(before, after, {"C1": 7.0, "C2": 19.0}, [lens], SelfCheckParams())
     assert [f.cameras for f in found] == ([("C2",)] if moved else [])
     assert check_motion(before, after, {}, [], SelfCheckParams()) == []
+
+
+def test_walls_that_look_more_bent_than_walls_are_name_their_camera():
+    """8 mm for each metre at 45 degrees: the walls of another camera; 0.3 and 3 mm are structured light and time of flight."""
+    lens = Intrinsics(640, 480, 500.0, 500.0, 319.5, 239.5)
+    setup = SimpleNamespace(
+        walls=SimpleNamespace(camera=np.array([0, 0, 1, 2])), priors=[SimpleNamespace(intrinsics=lens)] * 3
+    )
+    problem = SimpleNamespace(setup=setup, weights=SimpleNamespace(wall_bend=np.array([0.0003, 0.008, 0.003])))
+    solved = SimpleNamespace(problem=problem, cameras=("C1", "C2", "C3"))
+    (found,) = check_bends(solved, SelfCheckParams())
+    assert found.cameras == ("C2",) and found.level == "caution"
+    assert "C2's walls look bent by the depth, by 7 mm" in found.text  # 8 mm times 2 m times (320 / 500)^2

@@ -33,7 +33,7 @@ from rgbd_calib.trust.self_check import (
 from rgbd_calib.trust.self_check.motion import check_motion
 from rgbd_calib.trust.self_check.of_solution import equations_of, held_blocks
 from rgbd_calib.trust.self_check.parts import noise_of_bundle, parts, ratios_of_bundle, ratios_of_residuals
-from rgbd_calib.trust.self_check.walls import check_walls, walls_of_bundle
+from rgbd_calib.trust.self_check.walls import check_bends, check_walls, walls_of_bundle
 from rgbd_calib.types import Board, BoardView, Correspondences
 from rgbd_calib.views.association import AssociationResult
 
@@ -105,7 +105,7 @@ def check_bundle(
     apart_mm = {name: own.apart_px_mm for name, own in noise.items()}
     motion = [] if carried else check_motion(eq, explained, apart_mm, errors, params)
     by_cameras = any(own.cameras for own in errors)  # then boards are wrong, and would be blamed on the walls
-    wrong_walls = [] if by_cameras else check_walls(walls_of_bundle(solved), params)
+    wrong_walls = [] if by_cameras else [*check_walls(walls_of_bundle(solved), params), *check_bends(solved, params)]
     if motion:
         errors = [*motion, *(own for own in errors if not own.cameras)]
     folds = hold_out(eq, params)

@@ -49,6 +49,8 @@ class SelfCheckParams:
     that are the cause leave 1 to 1.6."""
     wall_sigmas: float = 8.0
     """Of what was stated of a wall's written distance: tapes slip, and sag."""
+    max_wall_bend: float = 5e-3
+    """Of a wall, as a share of its distance at unit rays: structured light leaves 0.3e-3, time of flight 3e-3."""
     max_factor: float = 1.25
     """Of the deviation that the residuals show over a given sigma: a covariance that is a quarter too small is still one."""
     max_group_ratio: float = 2.0

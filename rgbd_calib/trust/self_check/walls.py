@@ -12,6 +12,8 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.solution import Solution
 from rgbd_calib.trust.self_check.findings import Finding, SelfCheckParams
 
+BENT_AT_M = 2.0
+"""Distance at which a bend is told."""
 EXPLAINED = 0.25
 """Share of the median deviation that an offset or a factor may leave and still be the explanation."""
 
@@ -75,6 +77,22 @@ def check_walls(walls: Mapping[str, WallDistances], params: SelfCheckParams) -> 
     return [
         Finding("walls", "caution", tuple(some), _told(kind, some), _ADVICE[kind]) for kind, some in by_kind.items()
     ]
+
+
+def check_bends(solved: Solution, params: SelfCheckParams) -> list[Finding]:
+    """Walls that look more bent than any wall is: depth errs otherwise on them than on boards."""
+    setup, out = solved.problem.setup, []
+    for i in np.unique(setup.walls.camera):
+        bend, lens = float(solved.problem.weights.wall_bend[i]), setup.priors[i].intrinsics
+        if bend > params.max_wall_bend:
+            border_mm = 1e3 * bend * BENT_AT_M * (lens.width / lens.fx / 2) ** 2
+            text = (
+                f"{solved.cameras[i]}'s walls look bent by the depth, by {border_mm:.0f} mm at the border of the image at "
+                f"{BENT_AT_M:g} m"
+            )
+            advice = "Is the bias recording of this camera, in this mode? Or the wall is not flat: film another. The result follows the boards"
+            out.append(Finding("walls", "caution", (solved.cameras[i],), text, advice))
+    return out
 
 
 def _fit(own: WallDistances) -> bool:
