@@ -223,7 +223,10 @@ def _kill(pid: int, number: int) -> bool:
     """Kill it with all its processes, as a terminal or a scheduler does; True where it had ended."""
     ended = _ended(pid)
     if not ended:
-        os.killpg(pid, number)
+        try:
+            os.killpg(pid, number)
+        except ProcessLookupError:  # so early that it has no group of its own yet
+            os.kill(pid, number)
     _end(pid)
     return ended
 
