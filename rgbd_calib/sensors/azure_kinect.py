@@ -8,7 +8,6 @@ USB, as the SDK finds it: an attached device is opened only when it is asked for
 from __future__ import annotations
 
 import json
-import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -23,7 +22,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.calibrations.azure_ import read_device
 from rgbd_calib.io.dataset import CameraInfo, DepthGeometry
 from rgbd_calib.sensors import k4a
-from rgbd_calib.sensors.driver import Device, DeviceSettings
+from rgbd_calib.sensors.driver import Device, DeviceSettings, OpenedDevices, field_of_view_rad
 from rgbd_calib.sensors.frames import Kind, SensorFrame
 from rgbd_calib.sensors.usb import UsbDevice, usb_devices, usb_place
 
@@ -55,7 +54,7 @@ def load_azure() -> AzureKinects:
         ) from None
 
 
-class AzureKinects:
+class AzureKinects(OpenedDevices):
     """The driver.
 
     Parameters
@@ -64,9 +63,11 @@ class AzureKinects:
         Gives the colour cameras that are attached now.
     """
 
+    prefix = _PREFIX
+
     def __init__(self, library: k4a.K4a, attached: Callable[[], Sequence[UsbDevice]]) -> None:
         self._library, self._attached = library, attached
-        self._opened: list[AzureKinect] = []
+        super().__init__()
 
     @property
     def label(self) -> str:
@@ -80,9 +81,6 @@ class AzureKinects:
             f"Write `{UDEV}` to /etc/udev/rules.d/99-k4a.rules, then "
             "`sudo udevadm control --reload && sudo udevadm trigger`"
         )
-
-    def owns(self, uri: str) -> bool:
-        return uri.startswith(_PREFIX)
 
     def open(self, uri: str) -> Device:
         wanted = uri.removeprefix(_PREFIX).partition("@")[0]
@@ -105,14 +103,6 @@ class AzureKinects:
             f"{uri}: the device does not open ({reason}). Close other programs that use it, and replug it at a USB 3 port. "
             f"If permission is denied: {self.permission(uri)}"
         )
-
-    def abandon(self) -> None:
-        self._opened.clear()
-
-    def close(self) -> None:
-        for device in self._opened:
-            device.close()
-        self._opened.clear()
 
 
 class AzureKinect:
@@ -167,22 +157,9 @@ class AzureKinect:
         self._lens: Intrinsics = found.intrinsics
         own = found.depth
         self._geometry = DepthGeometry(*DEPTH_SIZE, own.intrinsics, None, own.T_color_depth)
-        fov = [2 * math.atan(n / 2 / f) for n, f in zip(COLOR_SIZE, self._lens.vector[:2], strict=True)]
+        fov = field_of_view_rad(COLOR_SIZE, self._lens.vector[:2].tolist())
         color, depth = (mode.split(" ", 1)[1] for mode in _MODES)
-        return DeviceSettings(
-            self.uri,
-            self.name,
-            self.vendor,
-            self.serial,
-            self.firmware,
-            self._place.path if self._place else None,
-            self._place.controller if self._place else None,
-            color,
-            depth,
-            False,
-            False,
-            *fov,
-        )
+        return DeviceSettings.of(self, color, depth, fov, place=self._place)
 
     def set_sync(self, place: int) -> bool:
         inward, outward = self._library.sync_jacks(self._handle)

@@ -5,14 +5,16 @@ A driver is one module. `capture` and `devices` use these interfaces only, so th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.dataset import CameraInfo
 from rgbd_calib.sensors.frames import Kind, SensorFrame
+from rgbd_calib.sensors.usb import UsbPlace
 
 DRIVERS = ("openni2", "realsense", "azure", "orbbec", "replay:RECORDING")
 
@@ -34,6 +36,40 @@ class DeviceSettings:
     mirrored: bool
     horizontal_fov_rad: float
     vertical_fov_rad: float
+
+    @classmethod
+    def of(
+        cls,
+        device: Device,
+        color_mode: str,
+        depth_mode: str,
+        fov_rad: tuple[float, float],
+        *,
+        place: UsbPlace | None = None,
+        registered: bool = False,
+        mirrored: bool = False,
+    ) -> DeviceSettings:
+        """With what an open device says of itself; `place` is where it hangs on the USB, None where that is not known."""
+        return cls(
+            device.uri,
+            device.name,
+            device.vendor,
+            device.serial,
+            device.firmware,
+            place.path if place else None,
+            place.controller if place else None,
+            color_mode,
+            depth_mode,
+            registered,
+            mirrored,
+            *fov_rad,
+        )
+
+
+def field_of_view_rad(size_px: tuple[int, int], focal_px: Sequence[float]) -> tuple[float, float]:
+    """Across and down; 0 where the focal length is not known."""
+    across, down = (2 * math.atan(n / 2 / f) if f else 0.0 for n, f in zip(size_px, focal_px, strict=True))
+    return across, down
 
 
 class Device(Protocol):
@@ -114,6 +150,26 @@ class Driver(Protocol):
 
     def close(self) -> None:
         """Close all devices; calling it twice does nothing."""
+
+
+class OpenedDevices:
+    """What a driver does with the devices that it has opened, whose uris begin with `prefix`."""
+
+    prefix: ClassVar[str]
+
+    def __init__(self) -> None:
+        self._opened: list[Device] = []
+
+    def owns(self, uri: str) -> bool:
+        return uri.startswith(self.prefix)
+
+    def abandon(self) -> None:
+        self._opened.clear()
+
+    def close(self) -> None:
+        for device in self._opened:
+            device.close()
+        self._opened.clear()
 
 
 class Drivers:

@@ -124,20 +124,14 @@ class OpenNi2Device:
 
     def settings(self, registered: bool) -> DeviceSettings:
         """What the device and its streams say now."""
-        return DeviceSettings(
-            self.uri,
-            self.name,
-            self.vendor,
-            self.serial,
-            self.firmware,
-            self.place.path if self.place else None,
-            self.place.controller if self.place else None,
+        return DeviceSettings.of(
+            self,
             _mode_text(self._color.video_mode),
             _mode_text(self._depth.video_mode),
-            registered,
-            self._color.mirroring_enabled or self._depth.mirroring_enabled,
-            float(self._color.get_horizontal_fov()),
-            float(self._color.get_vertical_fov()),
+            (float(self._color.get_horizontal_fov()), float(self._color.get_vertical_fov())),
+            place=self.place,
+            registered=registered,
+            mirrored=self._color.mirroring_enabled or self._depth.mirroring_enabled,
         )
 
     @property

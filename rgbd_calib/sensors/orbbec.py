@@ -7,7 +7,6 @@ that it asks for, at versions that exclude those of this program, are those of i
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import sys
@@ -25,7 +24,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.calibrations.common import rigid
 from rgbd_calib.io.calibrations.makers_lens import lens_of_maker
 from rgbd_calib.io.dataset import CameraInfo, DepthGeometry
-from rgbd_calib.sensors.driver import Device, DeviceSettings
+from rgbd_calib.sensors.driver import Device, DeviceSettings, OpenedDevices, field_of_view_rad
 from rgbd_calib.sensors.frames import Kind, SensorFrame
 from rgbd_calib.sensors.orbbec_frames import FORMATS, color_of, values_of
 from rgbd_calib.sensors.usb import forbidden_node, usb_devices, usb_place
@@ -64,12 +63,14 @@ def load_orbbec() -> OrbbecCameras:
         ) from None
 
 
-class OrbbecCameras:
+class OrbbecCameras(OpenedDevices):
     """The driver."""
+
+    prefix = _PREFIX
 
     def __init__(self, binding: Any, context: Any) -> None:
         self._binding, self._context = binding, context
-        self._opened: list[OrbbecCamera] = []
+        super().__init__()
 
     @property
     def label(self) -> str:
@@ -89,9 +90,6 @@ class OrbbecCameras:
         others = [f"{_PREFIX}{device.serial}@{device.address}" for device in usb_devices(_VENDOR)]
         return [*found, *(uri for uri in others if uri not in found and forbidden_node(uri))]
 
-    def owns(self, uri: str) -> bool:
-        return uri.startswith(_PREFIX)
-
     def open(self, uri: str) -> Device:
         serial = uri.removeprefix(_PREFIX).partition("@")[0]
         try:
@@ -104,14 +102,6 @@ class OrbbecCameras:
             ) from None
         self._opened.append(device)
         return device
-
-    def abandon(self) -> None:
-        self._opened.clear()
-
-    def close(self) -> None:
-        for device in self._opened:
-            device.close()
-        self._opened.clear()
 
 
 class OrbbecCamera:
@@ -173,22 +163,9 @@ class OrbbecCamera:
                 "Replug the device, or update its firmware"
             )
         lens = self._profiles["color"].get_intrinsic()
-        fov = [2 * math.atan(n / 2 / f) if f else 0.0 for n, f in ((lens.width, lens.fx), (lens.height, lens.fy))]
+        fov = field_of_view_rad((lens.width, lens.height), (lens.fx, lens.fy))
         color, depth = (_mode(kind, self._profiles[kind]).split(" ", 1)[1] for kind in ("color", "depth"))
-        return DeviceSettings(
-            self.uri,
-            self.name,
-            self.vendor,
-            self.serial,
-            self.firmware,
-            self._place.path if self._place else None,
-            self._place.controller if self._place else None,
-            color,
-            depth,
-            False,
-            False,
-            *fov,
-        )
+        return DeviceSettings.of(self, color, depth, fov, place=self._place)
 
     def set_sync(self, place: int) -> bool:
         modes = self._binding.OBMultiDeviceSyncMode

@@ -6,7 +6,6 @@ to colour in software would leave holes and move depth over edges.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -20,8 +19,9 @@ from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.calibrations.makers_lens import lens_of_maker
 from rgbd_calib.io.dataset import CameraInfo, DepthGeometry
-from rgbd_calib.sensors.driver import Device, DeviceSettings
+from rgbd_calib.sensors.driver import Device, DeviceSettings, OpenedDevices, field_of_view_rad
 from rgbd_calib.sensors.frames import Kind, SensorFrame
+from rgbd_calib.sensors.usb import UsbPlace
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
 _PREFIX = "realsense:"
@@ -54,7 +54,7 @@ def load_realsense() -> RealSense:
     return RealSense(binding, context.query_devices)
 
 
-class RealSense:
+class RealSense(OpenedDevices):
     """The driver.
 
     Parameters
@@ -63,10 +63,12 @@ class RealSense:
         Gives the devices that are attached now.
     """
 
+    prefix = _PREFIX
+
     def __init__(self, binding: Any, devices: Callable[[], Iterable[Any]]) -> None:
         self._binding = binding
         self._devices = devices
-        self._opened: list[RealSenseDevice] = []
+        super().__init__()
 
     @property
     def label(self) -> str:
@@ -78,9 +80,6 @@ class RealSense:
     def permission(self, uri: str) -> str:
         return "Install librealsense's udev rules (99-realsense-libusb.rules)"
 
-    def owns(self, uri: str) -> bool:
-        return uri.startswith(_PREFIX)
-
     def open(self, uri: str) -> Device:
         handle = self._attached().get(uri.removeprefix(_PREFIX))
         if handle is None:
@@ -88,14 +87,6 @@ class RealSense:
         device = RealSenseDevice(self._binding, handle, uri)
         self._opened.append(device)
         return device
-
-    def abandon(self) -> None:
-        self._opened.clear()
-
-    def close(self) -> None:
-        for device in self._opened:
-            device.close()
-        self._opened.clear()
 
     def _attached(self) -> dict[str, Any]:
         """Devices by serial number; the number is unique over librealsense's makes."""
@@ -156,21 +147,10 @@ class RealSenseDevice:
                 )
             self._sensors[kind], self._profiles[kind] = max(able, key=lambda one: _preference(one[1]))
         lens = self._profiles["color"].as_video_stream_profile().get_intrinsics()
-        fov = [2 * math.atan(n / 2 / f) if f else 0.0 for n, f in ((lens.width, lens.fx), (lens.height, lens.fy))]
+        fov = field_of_view_rad((lens.width, lens.height), (lens.fx, lens.fy))
         color, depth = (_mode(self._profiles[kind]).split(" ", 1)[1] for kind in ("color", "depth"))
-        return DeviceSettings(
-            self.uri,
-            self.name,
-            self.vendor,
-            self.serial,
-            self.firmware,
-            self._port,
-            None,
-            color,
-            depth,
-            False,
-            False,
-            *fov,
+        return DeviceSettings.of(
+            self, color, depth, fov, place=None if self._port is None else UsbPlace(self._port, None)
         )
 
     def set_sync(self, place: int) -> bool:

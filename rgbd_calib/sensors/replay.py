@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from rgbd_calib.errors import CalibrationError
 from rgbd_calib.io.dataset import CameraInfo
 from rgbd_calib.io.depth_files import read_depth_raw
 from rgbd_calib.io.recording import Recording, open_recording
-from rgbd_calib.sensors.driver import Device, DeviceSettings
+from rgbd_calib.sensors.driver import Device, DeviceSettings, field_of_view_rad
 from rgbd_calib.sensors.frames import PERIOD_S, Kind, SensorFrame
 
 _PREFIX = "replay:"
@@ -93,24 +92,10 @@ class ReplayedCamera:
 
     def configure(self, allow_unregistered: bool = False) -> DeviceSettings:
         color, depth = (mode.split(" ", 1)[1] for mode in self.modes())
-        fov = [0.0, 0.0]
-        if self._info.intrinsics is not None:
-            fx, fy = self._info.intrinsics.vector[:2]
-            fov = [2 * math.atan(self._info.width / 2 / fx), 2 * math.atan(self._info.height / 2 / fy)]
-        return DeviceSettings(
-            self.uri,
-            self.name,
-            self.vendor,
-            self.serial,
-            None,
-            None,
-            None,
-            color,
-            depth,
-            self._info.depth is None,
-            False,
-            *fov,
-        )
+        lens = self._info.intrinsics
+        size = (self._info.width, self._info.height)
+        fov = field_of_view_rad(size, (0.0, 0.0) if lens is None else lens.vector[:2].tolist())
+        return DeviceSettings.of(self, color, depth, fov, registered=self._info.depth is None)
 
     def set_sync(self, place: int) -> bool:
         return False

@@ -28,8 +28,8 @@ class UsbPlace:
 
     path: str
     """The kernel's name of the port, such as 1-1.2: bus 1, port 1, port 2 of the hub there."""
-    controller: str
-    """The host controller, such as 0000:00:14.0."""
+    controller: str | None
+    """The host controller, such as 0000:00:14.0; None where it is not known."""
 
 
 def usb_devices(vendor: str, product: str | None = None, sysfs: Path = SYSFS) -> list[UsbDevice]:
@@ -74,6 +74,6 @@ def crowded_controllers(places: Mapping[str, UsbPlace | None]) -> dict[str, list
     """Host controllers with more than one of the devices: {controller: names of the devices}."""
     found = defaultdict(list)
     for name, place in places.items():
-        if place is not None:
+        if place is not None and place.controller is not None:
             found[place.controller].append(name)
     return {controller: names for controller, names in found.items() if len(names) > 1}
