@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -132,6 +133,12 @@ class RigCamera:
     def depth_image(self) -> DepthImage:
         """The same over its whole image."""
         return DepthImage(self.depth_sensor)
+
+
+def unposed(intrinsics: Mapping[str, Intrinsics], biases: Mapping[str, DepthBias]) -> dict[str, RigCamera]:
+    """Cameras of which lens and depth bias are known and nothing else: all at the identity."""
+    at, unknown = np.eye(4), np.zeros((6, 6))
+    return {name: RigCamera(lens, at, unknown, biases.get(name)) for name, lens in intrinsics.items()}
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from rgbd_calib.pipeline.prepare import (
     resolve_intrinsics,
 )
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.types import Board, DepthBias, PlacedView, PosedView, RigCamera
+from rgbd_calib.types import Board, DepthBias, PlacedView, PosedView, RigCamera, unposed
 from rgbd_calib.views.association import AssociationResult, associate
 from rgbd_calib.views.board_pose import pose_view
 from rgbd_calib.views.depth_scale import check_axis, check_depth_scale
@@ -44,7 +44,7 @@ class Views:
     @property
     def given(self) -> dict[str, RigCamera]:
         """Lens and depth bias of each camera as they are known before the poses; all poses are the identity."""
-        return self.lenses.cameras(self.depth.biases)
+        return unposed(self.lenses.intrinsics, self.depth.biases)
 
     def read_as(self, solved: Sequence[PlacedView]) -> Views:
         """With the faces that a solution decided on."""

@@ -17,7 +17,7 @@ from rgbd_calib.rig.blocks import Scope
 from rgbd_calib.rig.initialization import InitializationParams, initialize
 from rgbd_calib.rig.solution import Solution
 from rgbd_calib.trust.uncertainty import JointCovariance, expected_alignment, volume
-from rgbd_calib.types import Board, Correspondences, PlacedView, Rig, RigCamera
+from rgbd_calib.types import Board, Correspondences, PlacedView, Rig, unposed
 from rgbd_calib.views.corner_points import corner_points
 from rgbd_calib.views.correspondence import correspond
 
@@ -74,9 +74,7 @@ def starting_rig(
 ) -> StartingRig:
     """The rig before: first poses from depth as measured, intrinsics as given; what the fused cloud would look like."""
     try:
-        data = correspond(
-            views, board, {c: RigCamera(own, np.eye(4), np.zeros((6, 6))) for c, own in intrinsics.items()}
-        )
+        data = correspond(views, board, unposed(intrinsics, {}))
         poses, how = initialize(data, dict(intrinsics), reference, params).T_world_color, "initialisation"
     except CalibrationError:
         poses, how = dict(rough), "single views of the board"

@@ -24,7 +24,7 @@ from rgbd_calib.pipeline.depth_cameras import split
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.quality import BiasSamples
-from rgbd_calib.types import BoardView, DepthBias, RigCamera
+from rgbd_calib.types import BoardView, DepthBias
 from rgbd_calib.views.board_pose import pose_view
 from rgbd_calib.views.doctor import check_stems
 
@@ -64,11 +64,6 @@ class IntrinsicsSource:
     """Of an intrinsic recording; the calibrated recording's own views are not listed again."""
     standard_deviations: dict[str, np.ndarray]
     """(9,) by camera, where a file has them."""
-
-    def cameras(self, biases: Mapping[str, DepthBias]) -> dict[str, RigCamera]:
-        """Cameras with these lenses and depth biases, all at the identity."""
-        at, unknown = np.eye(4), np.zeros((6, 6))
-        return {name: RigCamera(lens, at, unknown, biases.get(name)) for name, lens in self.intrinsics.items()}
 
 
 def check_together(recording: Recording) -> None:

@@ -11,7 +11,7 @@ from rgbd_calib.pipeline.judged_points import with_alignment
 from rgbd_calib.pipeline.prepare import IntrinsicsSource
 from rgbd_calib.rig.biobjective import RefinementResult
 from rgbd_calib.trust.self_check import calibration as self_check
-from rgbd_calib.types import Correspondences, Rig
+from rgbd_calib.types import Correspondences, Rig, unposed
 
 
 @one_blas_thread
@@ -19,7 +19,7 @@ def refine_correspondences(
     data: Correspondences, lenses: IntrinsicsSource, config: Config, reference: str
 ) -> tuple[Rig, RefinementResult | None]:
     """The rig, judged; None in place of a refinement where the method is `init`."""
-    posed = pose_cameras(data, lenses.cameras({}), reference, config)
+    posed = pose_cameras(data, unposed(lenses.intrinsics, {}), reference, config)
     rig, refined = posed.rig, posed.refined
     quality = replace(rig.quality, method=config.method)
     if refined is not None:

@@ -62,7 +62,7 @@ def _mounted_anew(scene: TrueScene, rng: Rng) -> Session:
 
 
 def _bumped_at(first: int, last: int) -> Fault:
-    """The second camera stands elsewhere before frame `first`, or from the frame `last` before the end on."""
+    """The second camera stands elsewhere in the first `first` frames and in the last `last`."""
 
     def fault(scene: TrueScene, rng: Rng) -> Session:
         names, moved = list(scene.boards), moved_rig(scene.rig, second_camera(scene), BUMP)
