@@ -11,7 +11,6 @@ from __future__ import annotations
 import io
 import json
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -21,7 +20,7 @@ import urllib.request
 from pathlib import Path
 
 from PIL import Image
-from selenium import webdriver
+from report_pictures import chromium
 
 FRAME_SETS = 6
 """Some regions are seen then, and some are missing."""
@@ -29,19 +28,10 @@ _LOADING_S = 2.0
 
 
 def screenshot(url: str, width: int, height: int) -> Image.Image:
-    options = webdriver.ChromeOptions()
-    options.binary_location = shutil.which("chromium") or ""
-    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--hide-scrollbars"):
-        options.add_argument(argument)
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
-    try:
-        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
-        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    with chromium(width, height, "--hide-scrollbars") as driver:
         driver.get(url)
         time.sleep(_LOADING_S)
         return Image.open(io.BytesIO(driver.get_screenshot_as_png())).convert("RGB")
-    finally:
-        driver.quit()
 
 
 def main() -> None:

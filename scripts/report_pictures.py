@@ -13,6 +13,8 @@ import io
 import re
 import shutil
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from PIL import Image
@@ -23,22 +25,29 @@ COLORS = 255
 """Of the palette: enough for a page, and the files stay below 200 kB."""
 
 
-def screenshot(page: Path, width: int, height: int) -> Image.Image:
-    """The top of the page, drawn."""
+@contextmanager
+def chromium(width: int, height: int, *arguments: str) -> Iterator[webdriver.Chrome]:
+    """A headless browser whose page has this size, px."""
     options = webdriver.ChromeOptions()
     options.binary_location = shutil.which("chromium") or ""
-    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--enable-unsafe-swiftshader"):
+    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", *arguments):
         options.add_argument(argument)
     driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
     try:
-        metrics = {"width": width, "height": 1000, "deviceScaleFactor": 1, "mobile": width < 600}
+        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
         driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        yield driver
+    finally:
+        driver.quit()
+
+
+def screenshot(page: Path, width: int, height: int) -> Image.Image:
+    """The top of the page, drawn."""
+    with chromium(width, 1000, "--enable-unsafe-swiftshader") as driver:
         driver.get(page.resolve().as_uri())
         WebDriverWait(driver, 300).until(lambda d: d.execute_script("return document.body.dataset.drawn") == "yes")
         clip = {"x": 0, "y": 0, "width": width, "height": height, "scale": 1}
         shot = driver.execute_cdp_cmd("Page.captureScreenshot", {"captureBeyondViewport": True, "clip": clip})
-    finally:
-        driver.quit()
     return Image.open(io.BytesIO(base64.b64decode(shot["data"]))).convert("RGB")
 
 

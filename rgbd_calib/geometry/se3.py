@@ -41,6 +41,12 @@ def difference(T_a_c: FloatArray, T_a_b: FloatArray) -> FloatArray:
     return np.concatenate([so3.log(D[..., :3, :3]), D[..., :3, 3]], axis=-1)
 
 
+def moved(T_before: FloatArray, T_after: FloatArray) -> tuple[float, float]:
+    """Length, metres, and angle, radians, of the motion between two poses (4, 4)."""
+    step = inverse(T_before) @ T_after
+    return float(np.linalg.norm(step[:3, 3])), float(so3.angle_rad(step[:3, :3]))
+
+
 def adjoint(T_a_b: FloatArray) -> FloatArray:
     """Matrix (6, 6) that carries a small left perturbation (phi, rho) of frame b into frame a."""
     R = T_a_b[:3, :3]

@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rgbd_calib.errors import CalibrationError, ConfigError
-from rgbd_calib.geometry import se3, so3
+from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.depth_error import UNKNOWN_SLOPE
-from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.clouds import surfaces_of
 from rgbd_calib.pipeline.depth_cameras import joined, name_of, split, split_rig
@@ -134,7 +133,7 @@ def refine_by_clouds(rig: Rig, recording: Recording, pose_sd_m: float | None = N
         before,
         after,
         {" - ".join(pair): count for pair, count in found.patches.items()},
-        {name: _motion(rig.cameras[name].T_world_color, cameras[name].T_world_color) for name in rig.cameras},
+        {name: se3.moved(rig.cameras[name].T_world_color, cameras[name].T_world_color) for name in rig.cameras},
         _free(found, in_pairs),
         tuple(name for name in rig.cameras if name not in devices),
         found.surprise,
@@ -168,11 +167,6 @@ def _joint(rig: Rig, pose_sd_m: float | None) -> JointCovariance:
     return joint if pose_sd_m is None else joint.loosened(rig.reference, pose_sd_m, DISTANCE_M)
 
 
-def _motion(T_before: FloatArray, T_after: FloatArray) -> tuple[float, float]:
-    step = se3.inverse(T_before) @ T_after
-    return float(np.linalg.norm(step[:3, 3])), float(so3.angle_rad(step[:3, :3]))
-
-
 def _free(found: Fusion, cameras: set[str]) -> dict[str, tuple[str, ...]]:
     """Directions, in each camera's frame, in which clouds alone leave it anywhere within the reach of their comparison."""
     out = {}
@@ -187,7 +181,7 @@ def _free(found: Fusion, cameras: set[str]) -> dict[str, tuple[str, ...]]:
 def _with_reports(rig: Rig, refined: Mapping[str, RigCamera], recording: Recording, after: ExpectedAlignment) -> Rig:
     reports = []
     for name, own in refined.items():
-        moved_m, turned_rad = _motion(rig.cameras[name].T_world_color, own.T_world_color)
+        moved_m, turned_rad = se3.moved(rig.cameras[name].T_world_color, own.T_world_color)
         reports.append(
             CameraUpdate(
                 name,

@@ -112,9 +112,8 @@ def update_camera(
         alignment=_alignment(checked, mine, board, name),
     )
     if name in rig.cameras:
-        step = se3.inverse(rig.cameras[name].T_world_color) @ entry.T_world_color
-        turned_deg = float(np.degrees(np.arccos(np.clip((np.trace(step[:3, :3]) - 1) / 2, -1, 1))))
-        report = replace(report, moved_mm=1e3 * float(np.linalg.norm(step[:3, 3])), turned_deg=turned_deg)
+        moved_m, turned_rad = se3.moved(rig.cameras[name].T_world_color, entry.T_world_color)
+        report = replace(report, moved_mm=1e3 * moved_m, turned_deg=float(np.degrees(turned_rad)))
     return Update(name, entry, report)
 
 

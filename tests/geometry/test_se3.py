@@ -146,3 +146,10 @@ def test_rigid_alignment_weighs_its_points():
     p_a[3] += 1.0
     found = align.rigid(p_a, p_b, np.array([1.0, 1.0, 1.0, 0.0]))
     assert np.allclose(found, np.eye(4), atol=TIGHT)
+
+
+def test_the_motion_between_two_poses_has_a_length_and_an_angle():
+    T = se3.make(so3.exp([0.1, 0.2, -0.3]), np.array([1.0, 2.0, 3.0]))
+    step = se3.make(so3.exp([0.0, 0.0, 0.02]), np.array([0.003, 0.0, 0.004]))
+    assert se3.moved(T, T @ step) == pytest.approx((0.005, 0.02))
+    assert se3.moved(T, T) == pytest.approx((0.0, 0.0), abs=1e-12)

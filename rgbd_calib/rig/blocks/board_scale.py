@@ -12,14 +12,17 @@ LINEAR = 0.25
 """Of the size: the test is linear, and its number says no more beyond."""
 
 
+def _percent(t: Told) -> str:
+    return f"{100 * t.estimate[0]:+.2f} % (\u00b1 {100 * float(np.sqrt(max(t.covariance[0, 0], 0))):.2f} %)"
+
+
 def _say(t: Told) -> str:
     if abs(t.estimate[0]) > LINEAR:
         way = "larger" if t.estimate[0] > 0 else "smaller"
         return f"The depth says that the board's squares are more than {100 * LINEAR:.0f} % {way} than stated, or that the depth is wrong"
-    sd = float(np.sqrt(max(t.covariance[0, 0], 0)))
     return (
-        f"The depth says that the board's squares are {100 * t.estimate[0]:+.2f} % (\u00b1 {100 * sd:.2f} %) from the stated "
-        f"size: all distances are off by {t.mm} at {t.distance_m:.1f} m, or the depth is"
+        f"The depth says that the board's squares are {_percent(t)} from the stated size: all distances are off by {t.mm} at "
+        f"{t.distance_m:.1f} m, or the depth is"
     )
 
 
@@ -36,8 +39,8 @@ class BoardScale(BoardShapeBlock):
     between_recordings = Fault(
         "board between recordings",
         lambda t: (
-            f"The board's squares in the intrinsic recording are {100 * t.estimate[0]:+.2f} % "
-            f"(\u00b1 {100 * float(np.sqrt(max(t.covariance[0, 0], 0))):.2f} %) from those in the rig's, or {t.mm} at {t.distance_m:.1f} m"
+            f"The board's squares in the intrinsic recording are {_percent(t)} from those in the rig's, or {t.mm} at "
+            f"{t.distance_m:.1f} m"
         ),
         "Were both filmed with one board? Say the squares of each in its dataset.yaml, or film the intrinsic recording again",
     )

@@ -20,7 +20,9 @@ def hypotheses_of(
     """All that are tested: `held` are blocks that the problem holds at zero."""
     out: list[Hypothesis] = []
     for block in held:
-        out += [*_held(eq, block), *_of_rig_between_recordings(eq, block, params)]
+        out += _held(eq, block)
+        if block.scope is Scope.RIG:
+            out += _between_recordings(eq, block, None, params)
     for block in problem.blocks:
         if block.scope is Scope.CAMERA:
             for c in range(len(eq.cameras)):
@@ -90,23 +92,19 @@ def _over_time(eq: Equations, block: Block, c: int, params: SelfCheckParams) -> 
             yield Hypothesis(fault, (eq.cameras[c],), _columns(eq, block, fault), late, frame)
 
 
-def _between_recordings(eq: Equations, block: Block, c: int, params: SelfCheckParams) -> Iterator[Hypothesis]:
-    """Parameters that are others in the recording of each camera alone."""
-    fault, mine = block.between_recordings, eq.camera == c
+def _between_recordings(eq: Equations, block: Block, c: int | None, params: SelfCheckParams) -> Iterator[Hypothesis]:
+    """Parameters that are others in the recording of each camera alone; `c` None: of the whole rig."""
+    fault, mine = block.between_recordings, np.full(len(eq.camera), True) if c is None else eq.camera == c
     alone = mine & (eq.time_index == ALONE)
     if fault is None or min(alone.sum(), (mine & ~alone).sum()) < params.min_side or not _seen(eq, block, alone):
         return
-    yield Hypothesis(fault, (eq.cameras[c],), _columns(eq, block, fault), alone)
-
-
-def _of_rig_between_recordings(eq: Equations, block: Block, params: SelfCheckParams) -> Iterator[Hypothesis]:
-    """Parameters of the whole rig that are others in the recording of each camera alone."""
-    fault, alone = block.between_recordings, eq.time_index == ALONE
-    if block.scope is not Scope.RIG or fault is None or min(alone.sum(), (~alone).sum()) < params.min_side:
-        return
-    if _seen(eq, block, alone):
-        effect = block.effect(usual_distance_m(eq, alone), 0.0)
-        yield Hypothesis(fault, (), _columns(eq, block, fault), alone, "", effect, block.least_seen)
+    columns = _columns(eq, block, fault)
+    if c is None:
+        yield Hypothesis(
+            fault, (), columns, alone, "", block.effect(usual_distance_m(eq, alone), 0.0), block.least_seen
+        )
+    else:
+        yield Hypothesis(fault, (eq.cameras[c],), columns, alone)
 
 
 def _known(eq: Equations, problem: Problem, block: Block, c: int) -> Iterator[Hypothesis]:
