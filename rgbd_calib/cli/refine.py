@@ -144,8 +144,8 @@ def _by_clouds(
     from rgbd_calib.errors import CalibrationError
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.io.rig import read_rig, write_rig
-    from rgbd_calib.pipeline.calibrate import provenance_of
     from rgbd_calib.pipeline.config import load_config
+    from rgbd_calib.pipeline.provenance import provenance_of
     from rgbd_calib.pipeline.refine_clouds import refine_by_clouds
 
     rig = read_rig(rig_path)
