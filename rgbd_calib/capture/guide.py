@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rgbd_calib.capture.board_watch import DetectedFrameSet, board_views
+from rgbd_calib.capture.expected_error import ErrorCourse
 from rgbd_calib.capture.stillness import Corners
 from rgbd_calib.types import Board
 from rgbd_calib.views.coverage import Coverage, CoverageParams, ViewCoverage, place_view, summarize_coverage
@@ -45,6 +46,22 @@ class GuideState:
     """Which look at the board the corners are of; see :meth:`Guide.picture`."""
     events: tuple[str, ...]
     """The last things that went wrong or right again."""
+    error: ErrorCourse | None = None
+    """None where no expected error was asked for."""
+
+    @property
+    def enough(self) -> bool | None:
+        """True where nothing more is needed: the expected error that was asked for, or else nothing missing."""
+        if self.error is not None:
+            return self.error.reached
+        return self.coverage.enough if self.coverage else None
+
+    @property
+    def next(self) -> str:
+        """What to film next: what coverage misses, then what the estimate asks for."""
+        if self.coverage is None or self.coverage.next or self.error is None:
+            return self.coverage.next if self.coverage else ""
+        return next(iter(self.error.film), "show the board to two cameras or more, near and far, tilted both ways")
 
 
 class Guide:
@@ -66,6 +83,7 @@ class Guide:
         self._live: tuple[str, ...] = self._all
         self._looks: deque[DetectedFrameSet] = deque(maxlen=_LOOKS)
         self._n_looks = 0
+        self._error: ErrorCourse | None = None
         self._listeners: list[Callable[[GuideState], None]] = []
 
     def listen(self, listener: Callable[[GuideState], None]) -> None:
@@ -85,6 +103,12 @@ class Guide:
             if advice == self._advice:
                 return
             self._advice = advice
+        self._tell()
+
+    def estimated(self, error: ErrorCourse) -> None:
+        """There is another estimate of the rig's error, or a reason why there is none."""
+        with self._lock:
+            self._error = error
         self._tell()
 
     def event(self, text: str) -> None:
@@ -120,9 +144,9 @@ class Guide:
         self._tell()
 
     @property
-    def enough(self) -> bool:
+    def coverage(self) -> Coverage | None:
         with self._lock:
-            return self._coverage is not None and self._coverage.enough
+            return self._coverage
 
     def state(self) -> GuideState:
         with self._lock:
@@ -139,6 +163,7 @@ class Guide:
                 self._ranges,
                 self._n_looks,
                 tuple(self._events),
+                self._error,
             )
 
     def picture(self, camera: str, look: int) -> np.ndarray | None:

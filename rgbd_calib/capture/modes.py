@@ -140,4 +140,11 @@ def _still_advice(still: StillBoard, look: DetectedFrameSet, only: str | None) -
 
 
 def _finished(studio: Studio, params: ModeParams, taken: int) -> bool:
-    return (params.count is not None and taken >= params.count) or (params.until_enough and studio.guide.enough)
+    coverage = studio.guide.coverage
+    if studio.expected is not None and coverage is not None:
+        studio.expected.update(studio.writer.finished, coverage)
+        if studio.expected.course.reached:
+            return True
+    if params.count is not None and taken >= params.count:
+        return True
+    return params.until_enough and coverage is not None and coverage.enough

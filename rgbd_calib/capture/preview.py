@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from flask import Flask, Response, abort, request
 
+from rgbd_calib.capture.expected_error import ErrorCourse
 from rgbd_calib.capture.guide import Guide, GuideState
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.plain import to_json
@@ -54,9 +55,10 @@ def state_json(state: GuideState) -> dict[str, Any]:
         "frame_sets": state.frame_sets,
         "look": state.look,
         "events": list(state.events),
-        "enough": coverage.enough if coverage else None,
+        "enough": state.enough,
         "missing": list(coverage.missing) if coverage else [],
-        "next": coverage.next if coverage else "",
+        "next": state.next,
+        "error": _error_json(state.error) if state.error else None,
         "common_frames": [[a, b, n] for (a, b), n in coverage.common_frames.items()] if coverage else [],
         "cameras": {
             camera: {
@@ -79,6 +81,15 @@ def _coverage_json(coverage: CameraCoverage) -> dict[str, Any]:
         "tilted": int(coverage.tilts[1:].sum()),
         "nearest_m": round(coverage.nearest_m, 2),
         "farthest_m": round(coverage.farthest_m, 2),
+    }
+
+
+def _error_json(error: ErrorCourse) -> dict[str, Any]:
+    return {
+        "history": error.history,
+        "until_mm": error.until_mm,
+        "reached": error.reached,
+        "why": error.distrust or error.refusal,
     }
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from rich.console import Console
 
 from rgbd_calib.capture.board_watch import BoardFinder
+from rgbd_calib.capture.expected_error import ErrorCourse, ExpectedError
 from rgbd_calib.capture.guide import Guide
 from rgbd_calib.capture.modes import ModeParams, record_depth_bias, record_intrinsics, record_rig
 from rgbd_calib.capture.shots import DepthParams, Photographer
@@ -67,6 +68,8 @@ class CaptureParams:
     give_up_s: float = 15.0
     preview: tuple[str, int] | None = None
     """(host, port) of the web page."""
+    until_mm: float | None = None
+    """Expected error at which a recording of a rig ends; None: it is not estimated."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,9 @@ class CaptureResult:
     """{camera: {stream: frames that never came}}."""
     events: int
     missing: tuple[str, ...]
+    error: ErrorCourse | None
+    board_m: dict[str, tuple[float, float]]
+    """{camera with depth: nearest and farthest board}; empty where no board was named."""
 
 
 def capture(params: CaptureParams, console: Console, ask: Ask) -> CaptureResult:
@@ -99,9 +105,9 @@ def capture(params: CaptureParams, console: Console, ask: Ask) -> CaptureResult:
         append=params.append,
         synchronous=params.kind != "wave",
     )
-    if recording.board is None and (params.mode.on_still or params.mode.until_enough):
+    if recording.board is None and (params.mode.on_still or params.mode.until_enough or params.until_mm is not None):
         raise ConfigError(
-            f"{params.out}: no board is named there; --on-still, --until-enough and --intrinsic look for one. "
+            f"{params.out}: no board is named there; --on-still, --until-enough, --until-mm and --intrinsic look for one. "
             "Add --board 9x6 --square 0.06"
         )
     stop = threading.Event()
@@ -167,10 +173,16 @@ class _Session:
             raise failure
         if self._recording.finished == 0 and status != "complete":
             raise CalibrationError(f"{params.out}: {message} before the first frame set; nothing was recorded")
-        coverage = self._guide.state().coverage
+        state = self._guide.state()
+        coverage = state.coverage
         lost = {camera: {str(kind): n for kind, n in counts.lost.items()} for camera, counts in rig.counts().items()}
         missing = coverage.missing if coverage else ()
-        return CaptureResult(status, self._recording.finished, self._tally, lost, self._events, missing)
+        with_depth = [camera for camera, info in self._recording.cameras.items() if info.depth_stated]
+        seen = {c: own for c, own in (coverage.cameras if coverage else {}).items() if c in with_depth and own.views}
+        board_m = {c: (own.nearest_m, own.farthest_m) for c, own in seen.items()}
+        return CaptureResult(
+            status, self._recording.finished, self._tally, lost, self._events, missing, state.error, board_m
+        )
 
     def _record(self, rig: SensorRig, ask: Ask) -> None:
         params = self._params
@@ -195,6 +207,16 @@ class _Session:
             studio = Studio(
                 rig, photographer, writer, self._guide, finder, self._stop, params.give_up_s, self._note, self._tally
             )
+            if params.until_mm is not None:
+                expected = ExpectedError(
+                    params.out,
+                    params.until_mm,
+                    self._cameras,
+                    show=self._guide.estimated,
+                    warn=lambda text: self._note("", text),
+                    log=lambda text: self._log_event("", text),
+                )
+                studio.expected = stack.enter_context(expected)
             try:
                 if params.kind == "intrinsic":
                     record_intrinsics(studio, params.mode, params.coverage)
@@ -213,6 +235,9 @@ class _Session:
         if self._display is not None:
             self._display.note(camera, text)
         self._guide.event(f"{camera}: {text}" if camera else text)
+        self._log_event(camera, text)
+
+    def _log_event(self, camera: str, text: str) -> None:
         with suppress(RgbdCalibError):  # a full disk is the writers' to tell
             self._log.event(camera, text, time.monotonic() - self._started_s)
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 from rgbd_calib.capture.board_watch import BoardFinder, DetectedFrameSet
+from rgbd_calib.capture.expected_error import ExpectedError
 from rgbd_calib.capture.guide import Guide
 from rgbd_calib.capture.shots import Photographer
 from rgbd_calib.capture.stillness import Corners
@@ -52,6 +53,8 @@ class Studio:
     note: Callable[[str, str], None]
     """Tells user and log of an event: (camera or '', text)."""
     tally: Tally = field(default_factory=Tally)
+    expected: ExpectedError | None = None
+    """Where it decides how long to record."""
     _silent_since_s: float | None = None
     _slow_disk_told: bool = False
 

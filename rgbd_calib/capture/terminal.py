@@ -10,6 +10,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from rgbd_calib.capture.expected_error import ErrorCourse
 from rgbd_calib.capture.guide import GuideState
 from rgbd_calib.views.coverage import CameraCoverage
 
@@ -26,6 +27,7 @@ class PlainGuidance:
         self._advice = ""
         self._next = ""
         self._frame_sets = 0
+        self._error: ErrorCourse | None = None
 
     def __enter__(self) -> PlainGuidance:
         return self
@@ -50,7 +52,10 @@ class PlainGuidance:
                 self._say(f"still missing: {missing[0]}{more}")
             if self._next and not missing:
                 self._next = ""
-                self._say("enough: nothing is missing any more")
+                self._say(f"{'enough: ' if state.error is None else ''}nothing is missing any more")
+            if state.error is not None and state.error != self._error:
+                self._error = state.error
+                self._say(f"expected error: {state.error.text}")
             if state.advice != self._advice and not state.coverage:
                 self._say(state.advice)
             self._advice = state.advice
@@ -96,7 +101,11 @@ def render(state: GuideState) -> Group:
         lines += [Text(f"still missing: {s}", "yellow") for s in state.coverage.missing[:_MAX_MISSING]]
         if len(state.coverage.missing) > _MAX_MISSING:
             lines.append(Text(f"... and {len(state.coverage.missing) - _MAX_MISSING} more", "yellow"))
-        if state.coverage.enough:
+        if state.error is not None:
+            lines.append(Text(f"expected error: {state.error.text}", "bold green" if state.error.reached else "bold"))
+        if state.error is not None and not state.coverage.missing and not state.error.reached:
+            lines.append(Text(f"next: {state.next}", "yellow"))
+        if state.enough:
             lines.append(Text("enough", "bold green"))
     return Group(table, *lines)
 

@@ -6,11 +6,15 @@ import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from rgbd_calib.cli.options import OUTPUT, Number, board_options, driver_option, redist_option, say
 from rgbd_calib.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rgbd_calib.capture.session import CaptureResult
 
 SNAPSHOT_FRAMES = 30
 
@@ -36,6 +40,13 @@ SNAPSHOT_FRAMES = 30
 @click.option("--interval", type=Number(0), help="Seconds between shots.  [default: 0.5]")
 @click.option("--count", type=click.IntRange(1), help="Shots to take (of each camera, at each distance).")
 @click.option("--until-enough", is_flag=True, help="End when nothing is missing any more.")
+@click.option(
+    "--until-mm",
+    type=Number(0, min_open=True),
+    metavar="MM",
+    help="End when the expected error is at most so large; it is estimated while you film. Implies --on-still, unless --interval "
+    "is given.",
+)
 @click.option(
     "--pairs-only", is_flag=True, help="Ask for common views of cameras only, not for coverage of each image."
 )
@@ -85,6 +96,7 @@ def command(
     interval: float | None,
     count: int | None,
     until_enough: bool,
+    until_mm: float | None,
     pairs_only: bool,
     depth_frames: int | None,
     alternate_emitters: bool,
@@ -101,7 +113,11 @@ def command(
 ) -> None:
     """Record a rig of OpenNI2 (Xtion, Kinect) and RealSense cameras into the folder OUT.
 
+    One recording is enough: with --until-mm, shared views are asked for first (near, far, tilted), then the board close to each
+    camera, and the expected error is shown as it falls.
+
     \b
+      rgbd-calib capture rig1 --board 9x6 --square 0.06 --until-mm 1.5 --preview
       rgbd-calib capture rig1/extrinsic --board 9x6 --square 0.06 --on-still --until-enough --preview
       rgbd-calib capture rig1/intrinsic --board 9x6 --square 0.06 --intrinsic
       rgbd-calib capture rig1/empty --snapshot
@@ -123,6 +139,11 @@ def command(
         raise ConfigError(
             "--wave: the board moves, so that --depth-frames and --alternate-emitters do not apply. Leave them out"
         )
+    if until_mm is not None and (intrinsic or depth_bias or snapshot or wave is not None or until_enough):
+        raise ConfigError(
+            "--until-mm records the board before the whole rig until the expected error is low enough; it goes without "
+            "--intrinsic, --depth-bias, --snapshot, --wave and --until-enough. Leave them out"
+        )
     if distances and not depth_bias:
         raise ConfigError("--distances belongs to --depth-bias. Add that, or leave it out")
     if snapshot and (intrinsic or depth_bias or wave is not None or on_still or until_enough or append):
@@ -132,8 +153,9 @@ def command(
             "Leave them out"
         )
     named_board = board()
-    if named_board is None and not append and (intrinsic or on_still or until_enough):
-        option = "--intrinsic" if intrinsic else "--on-still" if on_still else "--until-enough"
+    if named_board is None and not append and (intrinsic or on_still or until_enough or until_mm is not None):
+        asked = {"--intrinsic": intrinsic, "--on-still": on_still, "--until-enough": until_enough, "--until-mm": True}
+        option = next(name for name, given in asked.items() if given)
         raise ConfigError(f"{option}: no board given; it needs one to look for. Add --board 9x6 --square 0.06")
 
     from rich.console import Console
@@ -144,7 +166,7 @@ def command(
     from rgbd_calib.sensors.identity import parse_devices
     from rgbd_calib.views.coverage import CoverageParams
 
-    wait_for_stillness = on_still or (intrinsic and interval is None)
+    wait_for_stillness = on_still or ((intrinsic or until_mm is not None) and interval is None)
     mode = ModeParams(
         interval_s=0.5 if interval is None else interval,
         count=1 if snapshot and count is None else count,
@@ -156,7 +178,7 @@ def command(
         "intrinsic" if intrinsic else "depth-bias" if depth_bias else "wave" if wave is not None else "rig",
         mode,
         DepthParams(depth_frames or (SNAPSHOT_FRAMES if snapshot else 1), alternate_emitters, snapshot),
-        CoverageParams(judge_cameras=not pairs_only),
+        CoverageParams(judge_cameras=not pairs_only, judge_alone=until_mm is not None),
         named_board,  # type: ignore[arg-type]
         parse_devices(devices),
         known_distances,
@@ -170,6 +192,7 @@ def command(
         settle,
         give_up,
         _parse_address(preview),
+        until_mm,
     )
     result = capture(params, Console(stderr=True), _ask_distance)
     _summarize(out, result)
@@ -220,10 +243,7 @@ def _ask_distance(camera: str, proposed_m: float | None) -> float | None:
     return _parse_distances(answer)[0] if answer.strip() else None
 
 
-def _summarize(out: Path, result: object) -> None:
-    from rgbd_calib.capture.session import CaptureResult
-
-    assert isinstance(result, CaptureResult)
+def _summarize(out: Path, result: CaptureResult) -> None:
     tally = result.tally
     ended = "ended by Ctrl-C, " if result.status == "interrupted" else ""
     spread = f", cameras within {max(tally.spreads_ms):.1f} ms" if tally.spreads_ms and len(result.lost) > 1 else ""
@@ -235,5 +255,24 @@ def _summarize(out: Path, result: object) -> None:
             say(
                 f"{camera}: {lost['color']} colour and {lost['depth']} depth frames never came; the shots do without them"
             )
-    for sentence in result.missing:
-        say(f"Still missing: {sentence}")
+    if result.error is None or not result.error.reached:
+        for sentence in result.missing:
+            say(f"Still missing: {sentence}")
+    if result.error is not None:
+        _say_error(out, result)
+
+
+def _say_error(out: Path, result: CaptureResult) -> None:
+    """What was expected of the rig, and what comes next."""
+    error = result.error
+    assert error is not None
+    if not error.reached and not result.missing and not error.distrust:
+        say(f"To lower the error: {error.limits}")
+    if result.board_m:
+        near_m, far_m = (f(own) for f, own in zip((min, max), zip(*result.board_m.values(), strict=True), strict=True))
+        say(
+            f"Depth is calibrated from {near_m:.1f} to {far_m:.1f} m, where the board was. Only if you need depth beyond that: record a "
+            f"wall with --depth-bias into another folder, and give it to `calibrate --depth-bias`"
+        )
+    say(f"Expected error: {error.text}{': reached' if error.reached else ''}")
+    say(f"Next: rgbd-calib calibrate {out} -o rig.yaml")

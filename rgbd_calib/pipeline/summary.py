@@ -107,6 +107,7 @@ def numbers_of(rig: Rig, verdict: Verdict, truth: MeasuredAlignment | None) -> d
         "headline": verdict.headline,
         "reasons": list(verdict.reasons),
         "next_steps": list(verdict.next_steps),
+        "film": merged(verdict.film, list(rig.cameras)),
         "expected": None if expected is None else replace(expected, grid=None, joint=None),
         "measured": rig.quality.alignment_on_recording,
         "truth": truth,

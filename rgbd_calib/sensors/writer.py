@@ -31,6 +31,11 @@ class FrameSetWriter:
     def __exit__(self, *_: object) -> None:
         self._pool.shutdown(wait=True)
 
+    @property
+    def finished(self) -> int:
+        """Frame sets on the disk."""
+        return self._recording.finished
+
     def submit(self, images: Mapping[str, CameraImages], spread_us: int | None) -> str:
         """Queue a frame set and return its name; waits while the queue is full.
 

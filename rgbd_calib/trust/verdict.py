@@ -80,6 +80,8 @@ class Verdict:
     because: tuple[Reason, ...]
     """The most important first."""
     next_steps: tuple[str, ...]
+    film: tuple[str, ...] = ()
+    """What to film to lower the expected error: the weakest pair of cameras, then what the recording does not determine."""
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -172,8 +174,9 @@ def judge(
     if weak and levels:
         levels.append("fair")
     level: Level = max(levels, key=_ORDER.index) if levels else "unknown"
-    if level in ("fair", "poor") and expected is not None:
-        steps += _worst_pair(expected)
+    weakest = [] if expected is None else _worst_pair(expected)
+    if level in ("fair", "poor"):
+        steps += weakest
     wanted = [_sentence(text) for text in (*(quality.not_observable or ()), *missing)]
     steps += [f"To make it better: {text}" for text in wanted] if level == "good" else wanted
     if level == "unknown":
@@ -183,7 +186,7 @@ def judge(
     else:
         steps.append("Film what is asked for above, add it to the recording, and calibrate again.")
     headline = f"Do not trust this. {found[0].text}." if level == "untrusted" else _headline(level, expected, measured)
-    return Verdict(level, headline, tuple(reasons), tuple(steps))
+    return Verdict(level, headline, tuple(reasons), tuple(steps), (*weakest, *wanted))
 
 
 def _finding(own: Finding) -> Reason:

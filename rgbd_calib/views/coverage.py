@@ -50,6 +50,12 @@ class CoverageParams:
     """False: each camera is recorded alone."""
     min_common_frames: int = 3
     """Frames that a pair must share to count as a link of the rig."""
+    judge_alone: bool = False
+    """True: lenses come from the same recording. Shared views are asked for first, then views close to each camera alone."""
+    close_extent: float = 0.4
+    """Of the image's width or height: a board whose corners span as much is close."""
+    min_close: int = 5
+    """Close views of each camera: four corners of the image, and its middle."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +68,8 @@ class ViewCoverage:
     """(rows, columns), 1 where a corner lies."""
     distance_m: float
     tilt_rad: float
+    extent: float = 0.0
+    """Of the corners, along the image's width or height, whichever is the larger share."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +99,10 @@ class Coverage:
     """Sentences for the person who holds the board; the most needed first."""
     next: str
     """What the first of them asks to do, without the reason; empty where nothing is missing."""
+    connected: bool
+    """True where pairs with enough common frames join all cameras."""
+    shared_enough: bool
+    """True where nothing is missing of what cameras see together."""
 
     @property
     def enough(self) -> bool:
@@ -140,7 +152,8 @@ def place_view(
     regions = np.zeros((params.region_rows, params.region_columns), int)
     regions[rows, columns] = 1
     distance_m, tilt_rad = _distance_and_tilt(view, board, intrinsics or nominal_intrinsics(image_size))
-    return ViewCoverage(view.camera, view.frame, regions, distance_m, tilt_rad)
+    extent = float((np.ptp(view.corners_px, axis=0) / image_size).max()) if len(view.ids) else 0.0
+    return ViewCoverage(view.camera, view.frame, regions, distance_m, tilt_rad, extent)
 
 
 def nominal_intrinsics(image_size: tuple[int, int]) -> Intrinsics:
@@ -155,16 +168,29 @@ def summarize_coverage(
 ) -> Coverage:
     """Coverage of `cameras` by views that were placed before, as a live display does it."""
     params = params or CoverageParams()
-    per_camera = {camera: _camera_coverage([v for v in placed if v.camera == camera], params) for camera in cameras}
-    frames = {camera: {v.frame for v in placed if v.camera == camera} for camera in cameras}
+    own = {camera: [v for v in placed if v.camera == camera] for camera in cameras}
+    per_camera = {camera: _camera_coverage(views, params) for camera, views in own.items()}
+    frames = {camera: {v.frame for v in views} for camera, views in own.items()}
     common = {(a, b): len(frames[a] & frames[b]) for a, b in combinations(cameras, 2)}
-    missing: list[_Wish] = []
-    if params.judge_pairs:
-        missing += _missing_links(cameras, common, params)
-    for camera, coverage in per_camera.items():
-        missing += _missing_views(camera, coverage, params)
+    links = _missing_links(cameras, common, params) if params.judge_pairs else []
+    missing = list(links)
+    shared_enough = not links
+    if params.judge_alone and params.judge_cameras and len(cameras) > 1:
+        for camera, views in own.items():
+            others = set[str]().union(*(frames[other] for other in cameras if other != camera))
+            shared = _camera_coverage([v for v in views if v.frame in others], params)
+            missing += _missing_poses(camera, shared, params, "shared view")
+        shared_enough = not missing
+        if shared_enough:
+            for camera, views in own.items():
+                close = sum(v.extent >= params.close_extent for v in views)
+                missing += _missing_close(camera, close, params) + _missing_regions(camera, per_camera[camera], params)
+    else:
+        for camera, coverage in per_camera.items():
+            missing += _missing_views(camera, coverage, params)
     first = f"{missing[0].cameras}: {missing[0].action}" if missing else ""
-    return Coverage(per_camera, common, tuple(f"{m.cameras}{m.reason}: {m.action}" for m in missing), first)
+    sentences = tuple(f"{m.cameras}{m.reason}: {m.action}" for m in missing)
+    return Coverage(per_camera, common, sentences, first, not links, shared_enough)
 
 
 def _distance_and_tilt(view: BoardView, board: Board, intrinsics: Intrinsics) -> tuple[float, float]:
@@ -239,24 +265,40 @@ def _missing_views(camera: str, coverage: CameraCoverage, params: CoverageParams
         return [_Wish(camera, " has not seen the board yet", "hold the board in front of it")]
     if not params.judge_cameras:
         return []
+    return _missing_poses(camera, coverage, params, "view") + _missing_regions(camera, coverage, params)
+
+
+def _missing_poses(camera: str, coverage: CameraCoverage, params: CoverageParams, what: str) -> list[_Wish]:
+    """Number, distances and tilts of the views that `coverage` is of."""
     wishes = []
     if coverage.views < params.min_views:
-        reason = f": {_count(coverage.views, 'view')}, {params.min_views} needed"
+        reason = f": {_count(coverage.views, what)}, {params.min_views} needed"
         wishes.append(_Wish(camera, reason, "show it more poses"))
-    filled = int((coverage.regions > 0).sum())
-    if filled < params.min_regions:
-        empty = region_names(coverage.regions == 0)
-        reason = f": corners in {filled} of {coverage.regions.size} image regions, {params.min_regions} needed"
-        wishes.append(_Wish(camera, reason, f"move the board to the {empty}"))
-    if not coverage.farthest_m >= params.min_distance_ratio * coverage.nearest_m:
-        reason = f": board seen only from {coverage.nearest_m:.2f} to {coverage.farthest_m:.2f} m"
+    if coverage.views and not coverage.farthest_m >= params.min_distance_ratio * coverage.nearest_m:
+        seen = "board seen" if what == "view" else "board shared"
+        reason = f": {seen} only from {coverage.nearest_m:.2f} to {coverage.farthest_m:.2f} m"
         wishes.append(_Wish(camera, reason, "hold it nearer and farther too"))
     tilted = int(coverage.tilts[np.array(params.tilt_edges_rad[:-1]) >= params.tilted_rad - 1e-9].sum())
-    if tilted < params.min_tilted:
+    if coverage.views and tilted < params.min_tilted:
         tilt_deg = math.degrees(params.tilted_rad)
-        reason = f": {_count(tilted, 'view')} tilted by more than {tilt_deg:.0f}°, {params.min_tilted} needed"
+        reason = f": {_count(tilted, what)} tilted by more than {tilt_deg:.0f}°, {params.min_tilted} needed"
         wishes.append(_Wish(camera, reason, "tilt the board to the side, up and down"))
     return wishes
+
+
+def _missing_regions(camera: str, coverage: CameraCoverage, params: CoverageParams) -> list[_Wish]:
+    filled = int((coverage.regions > 0).sum())
+    if filled >= params.min_regions:
+        return []
+    reason = f": corners in {filled} of {coverage.regions.size} image regions, {params.min_regions} needed"
+    return [_Wish(camera, reason, f"move the board to the {region_names(coverage.regions == 0)}")]
+
+
+def _missing_close(camera: str, close: int, params: CoverageParams) -> list[_Wish]:
+    if close >= params.min_close:
+        return []
+    reason = f": {_count(close, 'close view')}, {params.min_close} needed"
+    return [_Wish(camera, reason, "hold the board close to it, in each corner of its image, tilted")]
 
 
 def region_names(empty: IntArray) -> str:
