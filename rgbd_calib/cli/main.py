@@ -52,7 +52,8 @@ START = """Where to start:
   without cameras        rgbd-calib simulate demo
                          rgbd-calib calibrate demo/extrinsic -o demo/rig.yaml --report demo/report
   with cameras           rgbd-calib devices
-                         rgbd-calib capture rig1 --board 9x6 --square 0.06
+                         rgbd-calib capture rig1 --board 9x6 --square 0.06 --until-mm 1.5 --preview
+                         rgbd-calib calibrate rig1 -o rig.yaml
   with a recording       rgbd-calib doctor RECORDING
                          rgbd-calib calibrate RECORDING -o rig.yaml --report report
   images in a folder     rgbd-calib init FOLDER --board 9x6 --square 0.06
@@ -102,12 +103,10 @@ def cli(context: click.Context) -> None:
     """Calibrate a rig of RGB-D cameras: poses, intrinsics and depth bias, with the error in millimetres.
 
     \b
-    A rig in five commands:
-      rgbd-calib capture rig1/intrinsic --intrinsic      # each camera alone, the board close
-      rgbd-calib capture rig1/depth_bias --depth-bias    # a wall at known distances
-      rgbd-calib capture rig1/extrinsic                  # the board between the cameras
-      rgbd-calib calibrate rig1/extrinsic --intrinsics rig1/intrinsic --depth-bias rig1/depth_bias -o rig1/rig.yaml
-      rgbd-calib fuse rig1/extrinsic --rig rig1/rig.yaml -o rig1/cloud.ply
+    A rig in three commands:
+      rgbd-calib capture rig1 --board 9x6 --square 0.06 --until-mm 1.5 --preview
+      rgbd-calib calibrate rig1 -o rig.yaml
+      rgbd-calib fuse rig1 --rig rig.yaml -o cloud.ply
 
     \b
     Without cameras:

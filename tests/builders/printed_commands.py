@@ -20,7 +20,7 @@ NOT_RUN = {
     "simulate": "takes minutes; tests/test_simulate.py runs it, small",
     "calibrate demo/extrinsic --world floor": "the drawn recording has no floor; tests/test_calibrate.py runs it",
     "calibrate demo/extrinsic --intrinsics demo/intrinsic --depth-bias": "docs/start/own_rig.md has it under other names",
-    "calibrate rig1/extrinsic --intrinsics rig1/intrinsic --depth-bias rig1/depth_bias -o rig1/rig.yaml": "the same",
+    "calibrate rig1 -o": "docs/start/own_recording.md runs the same",
     "sync": "needs a carried board with timestamps; tests/test_cli_sync.py runs it",
     "monitor": "runs until it is stopped; tests/test_monitor.py runs it",
     "calibrate monday --update rig.yaml --snapshot": "needs an empty scene; tests/test_snapshot.py has one",

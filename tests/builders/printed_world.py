@@ -36,6 +36,7 @@ def build(root: Path, run: Callable[..., object]) -> Path:
     (bare / "dataset.yaml").unlink()
     shutil.copytree(bare, root / "scans")
     shutil.copytree(root / "demo", root / "rig1")
+    shutil.copytree(root / "demo/extrinsic", root / "rig1", dirs_exist_ok=True)
     for name in (
         "extrinsic",
         "intrinsic",

@@ -83,6 +83,21 @@ def test_one_camera_recorded_alone_becomes_enough():
     assert len(flat.missing) == 3  # regions, distances and tilts, each with its own sentence
 
 
+def test_shared_views_are_asked_for_before_close_ones():
+    params = CoverageParams(judge_alone=True)
+    shared = [view(c, f"{i:06d}", z_m=1.2 + 0.1 * i, tilt_deg=20 * (i % 2)) for i in range(8) for c in ("C1", "C2")]
+    sizes = {"C1": SIZE, "C2": SIZE}
+    few = measure_coverage(shared[:6], BOARD, sizes, params=params)
+    assert few.connected and not few.shared_enough
+    assert few.next == "C1: show it more poses" and not any("close" in s for s in few.missing)
+    alone = [view("C1", f"alone{i}", x_m=0.2 * (i - 2), y_m=0.1 * (i - 2), z_m=0.7) for i in range(5)]
+    assert not measure_coverage(alone, BOARD, sizes, params=params).connected
+    enough = measure_coverage(shared, BOARD, sizes, params=params)
+    assert enough.shared_enough and enough.missing[0].startswith("C1: 0 close views, 5 needed: hold the board close")
+    close = measure_coverage([*shared, *alone], BOARD, sizes, params=params)
+    assert close.missing[0].startswith("C2: 0 close views") and not any("C1: 0 close" in s for s in close.missing)
+
+
 def test_nothing_seen_is_said_for_every_camera():
     coverage = measure_coverage([], BOARD, {"C1": SIZE, "C2": SIZE})
     assert len(coverage.missing) == 3 and math.isnan(coverage.cameras["C1"].nearest_m)
