@@ -201,4 +201,4 @@ def _mm(value: float) -> str:
 
 
 def _without_numbers(text: str) -> str:
-    return re.sub(r"[\d.]+", "", text)
+    return re.sub(r"[\d.]+(?: → [\d.]+)*", "", text)

@@ -7,6 +7,7 @@ import shutil
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -108,7 +109,10 @@ def _wait_for_estimate(told: Told, frame_sets: int) -> None:
 
 def _running(path: Path) -> list[str]:
     """Processes that name a path."""
-    found = [p.read_bytes().replace(b"\0", b" ").decode() for p in Path("/proc").glob("[0-9]*/cmdline") if p.exists()]
+    found = []
+    for line in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):  # it has ended meanwhile
+            found.append(line.read_bytes().replace(b"\0", b" ").decode(errors="replace"))
     return [line for line in found if str(path) in line]
 
 
