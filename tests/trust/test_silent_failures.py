@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rgbd_calib.simulation.faults import FAULTS
+from rgbd_calib.simulation.faults.common import change_views, with_depths
+from rgbd_calib.simulation.realism import Realism
+from rgbd_calib.simulation.session import draw_scene, film
+from rgbd_calib.trust.verdict import judge
 
 _PATH = Path(__file__).parents[2] / "scripts" / "study_silent_failures.py"
 sys.path.insert(0, str(_PATH.parent))
@@ -80,3 +86,14 @@ def test_an_unspoiled_session_is_within_its_bound():
     assert clean.trusted and clean.findings == ()
     assert 0.5 * clean.stated_mm < clean.bound_95_mm < 3 * clean.stated_mm
     assert clean.alignment_mm < clean.bound_95_mm
+
+
+def test_cameras_without_depth_are_judged_by_their_pixels(tmp_path):
+    scene = draw_scene(2, "arc", 15, 8, np.random.default_rng(3), realism=Realism())
+    session = replace(film(scene, np.random.default_rng(3)), walls=None, wall_cells=None)
+    for camera in scene.rig.cameras:
+        session = change_views(session, camera, lambda v: with_depths(v, np.full(len(v.ids), np.nan)), close=True)
+    quality = study.calibrate_session(session, tmp_path).rig.quality
+    assert quality.self_check.findings == ()
+    assert quality.self_check.scale is None  # pixels have no metre
+    assert judge(quality, ()).level == "good"

@@ -7,6 +7,7 @@ import numpy as np
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import Fault, Told
 from rgbd_calib.rig.blocks.board_shape import BoardShapeBlock, nominal_corners_m
+from rgbd_calib.rig.setup import Setup
 
 LINEAR = 0.25
 """Of the size: the test is linear, and its number says no more beyond."""
@@ -47,6 +48,10 @@ class BoardScale(BoardShapeBlock):
     least_seen = (
         1e-9  # the board's size is not seen in pixels; what is known of the depth before is little against them
     )
+
+    @classmethod
+    def applies(cls, setup: Setup) -> bool:
+        return bool(setup.obs.has_depth.any())  # pixels alone have no metre
 
     @property
     def parameters(self) -> tuple[str, ...]:

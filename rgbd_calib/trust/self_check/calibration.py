@@ -265,8 +265,8 @@ def _before(
 
 
 def _scale(eq: Equations, tests: Sequence[Outcome]) -> BoardScaleEstimate | None:
-    score = next(t.score for t in tests if t.hypothesis.name == "scale")
-    if not score.dof:
+    score = next((t.score for t in tests if t.hypothesis.name == "scale"), None)
+    if score is None or not score.dof:
         return None
     sd = float(np.sqrt(score.covariance[0, 0]))
     return BoardScaleEstimate(

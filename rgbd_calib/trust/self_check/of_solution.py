@@ -30,7 +30,7 @@ def held_blocks(problem: Problem) -> tuple[Block, ...]:
     """What the problem holds at zero: always, or because it was asked to."""
     listed = HELD_OF_CARRIED if isinstance(problem, MotionProblem) else HELD
     held = [block for block in (*listed, *ESTIMATED) if block.held is not None and block.name not in problem.parts]
-    return tuple(block(problem.setup) for block in held)
+    return tuple(block(problem.setup) for block in held if block.applies(problem.setup))
 
 
 def equations_of(solution: Solution, held: Sequence[Block], frames: Sequence[str]) -> Equations:
