@@ -27,6 +27,7 @@ from rgbd_calib.rig.problem import Problem, State
 from rgbd_calib.rig.reweight import reweighted
 from rgbd_calib.rig.setup import BundleParams, CameraPrior, Setup
 from rgbd_calib.rig.solution import Course, Round, Solution
+from rgbd_calib.rig.unknown_sizes import covariance_of_sizes
 from rgbd_calib.rig.weights import Weights
 from rgbd_calib.types import Board, PlacedView
 
@@ -208,6 +209,7 @@ def _concluded(problem: Problem, state: State, course: Course) -> Solution:
     seen = observability.examine(problem, plain)
     common = common_errors(problem, final.state, plain)
     covariance = solve.sandwich_covariance(problem, final.state, plain) + common.covariance
+    covariance += covariance_of_sizes(problem, final.state, plain)
     course = replace(course, iterations=course.iterations + final.iterations)
     return Solution(problem, final.state, final.cost, plain, covariance, common, seen, course)
 
