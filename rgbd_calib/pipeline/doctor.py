@@ -242,6 +242,7 @@ def _check_board(
     for own in color_plane_findings(recording, board, views):
         findings.append(RecordingFinding("colour planes", own.cameras, (), True, f"{own.text}. {own.advice}"))
     shift_m: dict[Key, float] = {}
+    distance_m: dict[Key, float] = {}
     unfit: dict[Key, str] = {}
     missed: dict[Key, tuple[float, bool]] = {}
     for group in [] if alone else _groups(list(recording.cameras), views):
@@ -256,9 +257,12 @@ def _check_board(
         single = {p.view.frame: poses.T_world_color[p.view.camera] @ p.T_color_board for p in found.views}
         poses = replace(poses, T_world_board=single | poses.T_world_board)
         shift_m |= poses.shift_m
+        distance_m |= {
+            (p.view.camera, p.view.frame): float(np.linalg.norm(p.T_color_board[:3, 3])) for p in found.views
+        }
         unfit |= found.dropped
         missed |= _expected(recording, poses, lenses, board, set(images) - set(measures))
-    findings += doctor.check_consistency(shift_m, unfit, list(measures), params)
+    findings += doctor.check_consistency(shift_m, distance_m, unfit, list(measures), params)
     findings += doctor.check_sharpness(measures, missed, params)
     offsets = {k: o for k, o in _depth_offsets(posed, board).items() if k not in unfit}
     stated = {*given, *(c for c, info in recording.cameras.items() if info.intrinsics is not None)}

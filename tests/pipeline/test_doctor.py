@@ -20,7 +20,7 @@ from rgbd_calib.pipeline.detection import detect
 from rgbd_calib.pipeline.doctor import examine
 from rgbd_calib.pipeline.workers import Workers
 from rgbd_calib.views.detect import DetectParams, detect_view
-from rgbd_calib.views.doctor import hull_mask
+from rgbd_calib.views.doctor import DoctorParams, check_consistency, hull_mask
 
 LENS = Intrinsics(WIDTH, HEIGHT, FOCAL_PX, FOCAL_PX, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
 AT = ("C2", "000003")
@@ -208,3 +208,16 @@ def test_the_command_tells_and_exits_for_scripts(run, good, tmp_path):
     assert out.status == 1 and not told["healthy"]
     assert any("C3" in f["sentence"] and f["matters"] for f in told["findings"])
     assert run("doctor", tmp_path).status == 2
+
+
+def test_boards_far_away_may_be_farther_off():
+    """A lens and a print that are not quite known move a board in proportion to its distance; a board that moved, more."""
+    distance_m = {(c, f"{k:06d}"): 1.0 + 0.25 * k for k in range(16) for c in ("C1", "C2")}
+    shift_m = {key: 0.003 * z for key, z in distance_m.items()}
+    far = "000015"
+    shift_m["C1", far] *= 5.1
+    assert check_consistency(shift_m, distance_m, {}, list(shift_m), DoctorParams()) == []
+    shift_m["C1", "000002"] += 0.040
+    (finding,) = check_consistency(shift_m, distance_m, {}, list(shift_m), DoctorParams())
+    assert finding.frames == ("000002",)
+    assert "44 mm from where the other sees it (4.5 mm are usual at 1.5 m)" in finding.sentence
