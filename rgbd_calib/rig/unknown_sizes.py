@@ -21,7 +21,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import eigh
 
-from rgbd_calib.geometry.linear import Covariance
+from rgbd_calib.geometry.linear import Covariance, symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import Component
 from rgbd_calib.rig.problem import Problem, State
@@ -32,24 +32,31 @@ SIZES = 80
 
 
 def covariance_of_sizes(problem: Problem, state: State, plain: Covariance) -> FloatArray:
-    """(P, P), to be added to the covariance `plain` of the global parameters."""
+    """(P, P), to be added to the covariance `plain` of the global parameters.
+
+    Components of which a part is held, as the corner offsets of a face that no camera saw, are left out.
+    """
     C, theta = plain.of_globals, problem.vector(state) - problem.prior.mean
     out = np.zeros_like(C)
     for index, component in problem.components:
+        if not problem.prior.free[index].all():
+            continue
         own = C[np.ix_(index, index)]
-        if problem.prior.free[index].all() and np.linalg.cond(own) < 1 / np.finfo(float).eps:
-            more = _beyond(own, theta[index], component, problem.weights.sizes[component.name])
-            carried = np.linalg.solve(own, C[index])  # (k, P)
-            out += carried.T @ more @ carried
+        information = symmetric_inverse(own)
+        carried = information @ C[index]  # (k, P)
+        more = _beyond(own, information, theta[index], component, problem.weights.sizes[component.name])
+        out += carried.T @ more @ carried
     return out
 
 
-def _beyond(C: FloatArray, theta: FloatArray, component: Component, size: float) -> FloatArray:
-    """(k, k): by how much the covariance of parameters exceeds C, which holds for one size; never negative."""
+def _beyond(C: FloatArray, information: FloatArray, theta: FloatArray, component: Component, size: float) -> FloatArray:
+    """(k, k): by how much the covariance of parameters exceeds C, which holds for one size; never negative.
+
+    `information` is the inverse of C.
+    """
     R, usual2 = component.structure, component.usual**2
-    P = np.linalg.inv(C)
-    value, basis = eigh(P - R / size**2, R)  # basis' R basis = 1
-    value, pull = np.maximum(value, 0.0), basis.T @ P @ theta
+    value, basis = eigh(information - R / size**2, R)  # basis' R basis = 1
+    value, pull = np.maximum(value, 0.0), basis.T @ information @ theta
     edges = np.geomspace(component.usual / SPAN, min(component.most, SPAN * component.usual), SIZES + 1)
     s2 = (edges[1:] * edges[:-1])[:, None]
     variance = s2 / (1 + s2 * value)  # (sizes, k)

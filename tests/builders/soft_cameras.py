@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from functools import cache
 from typing import Any, ClassVar
 
@@ -26,7 +27,7 @@ def _bank(kind: str, width: int, height: int, n: int) -> np.ndarray:
     return rng.integers(400, 9000, (height, width), np.uint16)
 
 
-class SoftCamera:
+class SoftCamera(ABC):
     """One camera; subclasses give its frames to the double of their SDK."""
 
     sizes: ClassVar[dict[str, tuple[int, int]]]
@@ -54,22 +55,24 @@ class SoftCamera:
         self.deliver(frames, self.device_us, self.sent)
         self.sent += 1
 
+    @abstractmethod
     def deliver(self, frames: dict[str, np.ndarray], device_us: int, number: int) -> None:
-        raise NotImplementedError
+        """Give frames to the double of the SDK."""
 
     @property
+    @abstractmethod
     def automatic(self) -> tuple[bool, bool]:
         """Of exposure and of white balance. A camera begins with both locked, as an earlier session left it."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def sync_place(self) -> int | None:
         """0: it leads, 1: it follows, None: it runs freely."""
-        raise NotImplementedError
 
     @staticmethod
+    @abstractmethod
     def driver(attached: list[Any]) -> Any:
-        raise NotImplementedError
+        """The make's driver, with the doubles `attached`."""
 
 
 class Player:

@@ -26,15 +26,15 @@ def test_parameter_and_size_integrated_on_a_grid(measured, noise, dof):
     size = 0.004  # as an estimate may have it
     C = 1 / (1 / noise**2 + structure / size**2)
     component = Component("one", np.arange(1), np.array([[structure]]), USUAL, dof)
-    more = _beyond(np.array([[C]]), np.array([C * measured / noise**2]), component, size)[0, 0]
+    more = _beyond(np.array([[C]]), np.array([[1 / C]]), np.array([C * measured / noise**2]), component, size)[0, 0]
     assert more == pytest.approx(max(whole - C, 0.0), rel=0.02, abs=0.01 * C)
 
 
 def test_what_nothing_shows_is_as_uncertain_as_it_may_be_large():
     nothing_seen = 1e-5  # the size to which shapes go that no data show
-    C = nothing_seen**2 * np.eye(2)
+    C = nothing_seen**2 * (1 - 1e-9) * np.eye(2)
     component = Component("field", np.arange(2), np.eye(2), USUAL, 0.001, 5 * USUAL)
-    more = _beyond(C * (1 - 1e-9), np.zeros(2), component, nothing_seen)
+    more = _beyond(C, np.linalg.inv(C), np.zeros(2), component, nothing_seen)
     sizes = np.geomspace(USUAL / SPAN, 5 * USUAL, 20001)
     assert np.diag(more) == pytest.approx(np.mean(sizes**2), rel=0.03)
     assert abs(more[0, 1]) < 1e-9 * more[0, 0]

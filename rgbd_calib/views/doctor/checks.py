@@ -43,7 +43,7 @@ class DoctorParams:
     max_depth_offset: float = 0.004
     """And as a share of the distance."""
     max_shift_ratio: float = 7.0
-    """Board against the other cameras' board, as a share of its distance: over the median of all views. Of 300 simulated views
+    """Board against the other cameras' board, as a share of its distance: over the median of all views. Of 268 simulated views
     of boards that stood still, with prints out of square and lenses by a few views, the worst is at 5.1."""
     max_own_shift_ratio: float = 2.5
     """And over the median of the camera: a lens that is known badly shifts all of its views."""
