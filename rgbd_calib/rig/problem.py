@@ -131,15 +131,15 @@ class Problem:
 
     @cached_property
     def components(self) -> tuple[tuple[IntArray, Component], ...]:
-        """All variance components, with their globals."""
-        return tuple((self.parts[b.name].start + c.parameters, c) for b in self.blocks for c in b.prior().components)
+        """All variance components, of their free parameters, with their globals."""
+        return tuple(pair for group in self.component_groups for pair in group)
 
-    @property
+    @cached_property
     def component_groups(self) -> list[list[tuple[IntArray, Component]]]:
         """The same, those of one block and camera together."""
         sets: dict[tuple[str, int], list[tuple[IntArray, Component]]] = {}
         for block in self.blocks:
-            for c in block.prior().components:
+            for c in block.prior().free_components():
                 at = self.parts[block.name].start + c.parameters
                 sets.setdefault((block.name, int(c.parameters[0]) // block.n), []).append((at, c))
         return list(sets.values())

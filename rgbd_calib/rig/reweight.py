@@ -112,8 +112,8 @@ def reweighted(problem: Problem, state: State, covariance: Covariance) -> Weight
 def _sizes(problem: Problem, state: State, covariance: Covariance) -> dict[str, float]:
     """The sizes of the variance components: scaled inverse chi^2 about what is usual, of the parameters that the data tell.
 
-    theta' R theta / size^2 ~ chi^2 with as many degrees of freedom as the data have added to the prior's, k - tr(C R) / size^2
-    (D. MacKay, Neural Computation 4(3), 1992). As a small size draws its parameters to zero, and small parameters their size,
+    theta' R theta / size^2 ~ chi^2 with as many degrees of freedom as the data have taken from the prior's, tr((P^-1 - C) R) /
+    size^2 with P what is known before, of which the component is R / size^2 (D. MacKay, Neural Computation 4(3), 1992). As a small size draws its parameters to zero, and small parameters their size,
     both are iterated, on what the data say of a block's parameters with all other unknowns eliminated.
     """
     theta, sizes = problem.vector(state), dict(problem.weights.sizes)
@@ -124,13 +124,15 @@ def _sizes(problem: Problem, state: State, covariance: Covariance) -> dict[str, 
         R = [component.structure for _, component in group]
         size2 = np.array([sizes[component.name] ** 2 for _, component in group])
         C_now, now, before = covariance.of_globals[np.ix_(at, at)], theta[at], _prior(R, size2, parts)
+        unseen = np.linalg.inv(problem.prior.information[np.ix_(at, at)])
+        n_free = [float(np.sum(unseen[p, p] * r)) / s2 for p, r, s2 in zip(parts, R, size2, strict=True)]
         right = np.column_stack([C_now, now])
         for _ in range(SIZE_ROUNDS):
             more = np.eye(len(at)) + C_now @ (_prior(R, size2, parts) - before)
             solved = np.linalg.solve(more, right)
             C, own, last = solved[:, :-1], solved[:, -1], size2.copy()
             for k, (part, (_, c)) in enumerate(zip(parts, group, strict=True)):
-                n_told = max(len(R[k]) - float(np.sum(C[part, part] * R[k])) / size2[k], 0.0)
+                n_told = max(n_free[k] - float(np.sum(C[part, part] * R[k])) / size2[k], 0.0)
                 squares = c.dof * c.usual**2 + float(own[part] @ R[k] @ own[part])
                 size2[k] = min(squares / (c.dof + n_told), c.most**2)
             if np.all(np.abs(np.log(size2 / last)) < SIZE_TOLERANCE):

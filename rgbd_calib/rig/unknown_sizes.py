@@ -10,16 +10,16 @@ over the posterior of s (R. Kass, D. Steffey, JASA 84(407), 1989). The data say 
 the other sizes as estimated, L theta = b +- L^(1/2), so that with R the structure of the prior
 
     Cov(theta | s) = (L + R / s^2)^-1,    E[theta | s] = (L + R / s^2)^-1 b
-    ln p(b | s) = (b' (L + R / s^2)^-1 b - ln |1 + s^2 R^-1 L|) / 2 + const
+    ln p(b | s) = (b' (L + R / s^2)^-1 b - ln |1 + s^2 R^-1 L| + ln |1 + s^2 R^-1 K|) / 2 + const
 
-which are sums in the basis where R is 1 and L diagonal. Before the data, s is as likely on any scale, and as its component says.
-The other unknowns follow theta by their regression on it.
+with K, which is in L too, what else is known of theta before. These are sums in the basis where R is 1 and L diagonal. Before
+the data, s is as likely on any scale, and as its component says. The other unknowns follow theta by their regression on it.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import eigh, eigvalsh
 
 from rgbd_calib.geometry.linear import Covariance, symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
@@ -32,27 +32,25 @@ SIZES = 80
 
 
 def covariance_of_sizes(problem: Problem, state: State, plain: Covariance) -> FloatArray:
-    """(P, P), to be added to the covariance `plain` of the global parameters.
-
-    Components of which a part is held, as the corner offsets of a face that no camera saw, are left out.
-    """
+    """(P, P), to be added to the covariance `plain` of the global parameters."""
     C, theta = plain.of_globals, problem.vector(state) - problem.prior.mean
     out = np.zeros_like(C)
     for index, component in problem.components:
-        if not problem.prior.free[index].all():
-            continue
-        own = C[np.ix_(index, index)]
+        at, size = np.ix_(index, index), problem.weights.sizes[component.name]
+        own, known = C[at], problem.prior.information[at] - component.structure / size**2
         information = symmetric_inverse(own)
         carried = information @ C[index]  # (k, P)
-        more = _beyond(own, information, theta[index], component, problem.weights.sizes[component.name])
+        more = _beyond(own, information, known, theta[index], component, size)
         out += carried.T @ more @ carried
     return out
 
 
-def _beyond(C: FloatArray, information: FloatArray, theta: FloatArray, component: Component, size: float) -> FloatArray:
+def _beyond(
+    C: FloatArray, information: FloatArray, known: FloatArray, theta: FloatArray, component: Component, size: float
+) -> FloatArray:
     """(k, k): by how much the covariance of parameters exceeds C, which holds for one size; never negative.
 
-    `information` is the inverse of C.
+    `information` is the inverse of C, `known` its part that is prior but not the component's.
     """
     R, usual2 = component.structure, component.usual**2
     value, basis = eigh(information - R / size**2, R)  # basis' R basis = 1
@@ -61,6 +59,7 @@ def _beyond(C: FloatArray, information: FloatArray, theta: FloatArray, component
     s2 = (edges[1:] * edges[:-1])[:, None]
     variance = s2 / (1 + s2 * value)  # (sizes, k)
     log_p = 0.5 * np.sum(variance * pull**2 - np.log1p(s2 * value), axis=1)
+    log_p += 0.5 * np.sum(np.log1p(s2 * np.maximum(eigvalsh(known, R), 0.0)), axis=1)
     log_p -= 0.5 * component.dof * (np.log(s2) + usual2 / s2)[:, 0]
     p = np.exp(log_p - log_p.max())
     p /= p.sum()

@@ -66,6 +66,20 @@ def test_a_misprinted_bent_board_is_found_as_it_is():
     assert np.sqrt(np.mean((off_m(found.front_m) / found.front_sd_m)[:, :2] ** 2)) < 2
 
 
+def test_a_back_that_no_camera_saw_tells_nothing_of_the_corners():
+    """Where all corners' offsets have one size, those that are not estimated must not count as found to be zero."""
+    rng = np.random.default_rng(3)
+    rig = sv.arc(3, biased=True)
+    views = draw(rig, misprinted(sv.BOARD, rng), 8, rng)
+    T = {name: own.T_world_color for name, own in rig.cameras.items()}
+    priors = priors_of(rig, rng)
+    one, two = (bundle(views, replace(sv.BOARD, two_sided=sides), priors, T, "C1") for sides in (False, True))
+    size, same = (own.problem.weights.sizes["corner offsets"] for own in (one, two))
+    assert one.problem.n_globals < two.problem.n_globals
+    assert same == pytest.approx(size, rel=1e-3)
+    assert 1e-4 < size < 3e-4  # 0.2 mm as printed
+
+
 @pytest.fixture
 def shaped(tmp_path):
     """A rig file with the shape that was found, and the board."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING, ClassVar
 
@@ -71,6 +71,12 @@ class BlockPrior:
     assumed: BoolArray
     """(size,) bool: the knowledge is an assumption, not a measurement; where the recording adds none, it is said."""
     components: tuple[Component, ...] = ()
+
+    def free_components(self) -> Iterator[Component]:
+        """The components of what is free: parameters that are held would count as found to be zero."""
+        for c in self.components:
+            if (free := self.free[c.parameters]).any():
+                yield replace(c, parameters=c.parameters[free], structure=c.structure[np.ix_(free, free)])
 
 
 @dataclass(frozen=True)
