@@ -54,7 +54,7 @@ class BundleParams:
     bias_scale_sd: float = 0.010
     """Prior of the depth's scale without a bias recording: consumer sensors are good to 1 %."""
     bias_curvature_sd_per_m: float = 0.005
-    """Prior of the depth bias's quadratic term without a bias recording; of each further term a twenty-fifth of the one before."""
+    """Prior of the depth bias's quadratic term without a bias recording."""
     tof_offset_sd_m: float = 0.025
     """The same as bias_offset_sd_m for time of flight, which errs by centimetres, and by more near the camera."""
     tof_scale_sd: float = 0.020

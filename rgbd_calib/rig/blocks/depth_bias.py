@@ -21,8 +21,10 @@ from rgbd_calib.types import DepthBias
 
 BEYOND = 1.3
 """Times the range of the data, on either end, up to which the curve of a triangulating sensor goes on."""
-FURTHER = 25.0
-"""Prior of each coefficient from the third on, over that of the one before."""
+BEND_SD_PER_M2 = 4e-5
+"""Prior of c3, which is what a disparity's offset leaves in the second order, c2^2, and as much again: 2.6 mm at 4 m."""
+FURTHER = 5.0
+"""Prior of each coefficient after c3, over that of the one before: millimetres at 4 m."""
 
 
 class DepthBiasBlock(LinearDepthErrorBlock):
@@ -146,7 +148,7 @@ def _information(bias: DepthBias | None, n: int, params: BundleParams) -> FloatA
     if bias is not None and bias.covariance is not None:
         return symmetric_inverse(bias.covariance[:n, :n])
     offset, scale, curvature = params.bias_offset_sd_m, params.bias_scale_sd, params.bias_curvature_sd_per_m
-    sd = [offset, scale, *(curvature / FURTHER**k for k in range(max(n - 2, 0)))]
+    sd = [offset, scale, curvature, *(BEND_SD_PER_M2 / FURTHER**k for k in range(max(n - 3, 0)))]
     return np.diag(1 / np.square(sd[:n]))
 
 
