@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import warnings
 from pathlib import Path
 
@@ -23,6 +24,7 @@ _PNG, _JPEG, _NPY = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"\x93NUMPY"
 _TIFF, _BMP, _PNM = (b"II*\0", b"MM\0*"), b"BM", (b"P5", b"P6")
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm")
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".pgm")
+logging.getLogger("PIL").addHandler(logging.NullHandler())  # what it logs of a damaged file is raised, too
 BRIGHTEST = 99.5
 """Percentile of an infrared image above which it may be white: what reflects, and what is near."""
 

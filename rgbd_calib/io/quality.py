@@ -12,6 +12,7 @@ from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+from pydantic import ValidationError
 
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.plain import plain
@@ -64,9 +65,19 @@ def _fitting(kind: type, data: Mapping[str, Any]) -> tuple[dict[str, Any], dict[
             continue
         try:
             known[keys[key][0]] = _read(keys[key][1], value, key)
-        except (TypeError, ValueError) as error:
-            other[key], faults[key] = value, str(error)
+        except (TypeError, ValueError, OverflowError) as error:
+            other[key], faults[key] = value, _why(error, key)
     return known, other, faults
+
+
+def _why(error: Exception, key: str) -> str:
+    """In one sentence, of a schema's error too."""
+    if not isinstance(error, ValidationError):
+        return str(error)
+    first = error.errors()[0]
+    place = ".".join(map(str, (key, *first["loc"])))
+    seen = "" if isinstance(first["input"], dict) else f" {short(first['input'])} seen;"
+    return f"{place}:{seen} {first['msg'].removeprefix('Value error, ')}"
 
 
 def board_fields(quality: Mapping[str, Any]) -> dict[str, Any] | None:

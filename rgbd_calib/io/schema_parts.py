@@ -242,6 +242,8 @@ class DepthCameraModel(Model):
         own = self.intrinsics
         if own and (own.width, own.height) != (self.width, self.height):
             raise ValueError(f"intrinsics are for {own.width}x{own.height} px, depth has {self.width}x{self.height}")
+        if self.covariance is not None and [len(row) for row in self.covariance] != [10] * 10:
+            raise ValueError("covariance is not 10 x 10, of fx, fy, cx, cy and the pose")
         return self
 
     @classmethod

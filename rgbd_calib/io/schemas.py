@@ -49,7 +49,7 @@ class ClockModel(Model):
         return cls(**asdict(clock))
 
     def value(self) -> Clock:
-        return Clock(**self.model_dump())
+        return Clock(**self.model_dump(include=set(ClockModel.model_fields)))
 
 
 class RigCameraModel(Model):

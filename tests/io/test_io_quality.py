@@ -110,7 +110,7 @@ def test_what_other_programs_wrote_is_kept():
 @pytest.mark.parametrize(
     ("key", "value", "said"),
     [
-        ("board", {"cols": 9}, "square"),
+        ("board", {"cols": 9}, r"^board.rows: Field required$"),
         ("pairs", 7, "pairs: 7 seen"),
         ("pairs", [{"cameras": ["C1"], "common_frames": 1, "agreeing": 1}], "argument"),
         ("expected_alignment", {"mean_mm": 1}, "missing"),

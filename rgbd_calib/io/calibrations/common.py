@@ -179,7 +179,7 @@ def numbers(path: Path, key: str, value: Any, n: int | Sequence[int] | None = No
         value = value["data"]
     try:
         flat = np.array(value, dtype=float).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ConfigError(f"{path}: {key}: {short(value)} seen, numbers needed. Correct it") from None
     counts = () if n is None else (n,) if isinstance(n, int) else tuple(n)
     if not np.all(np.isfinite(flat)) or np.any(np.abs(flat) > 1e12):

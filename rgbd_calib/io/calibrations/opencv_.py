@@ -102,7 +102,7 @@ def _matrices(tree: Mapping[str, Any]) -> dict[str, str]:
 def _count(value: Any) -> int:
     try:
         return int(np.array(_data(value), dtype=float).size)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return 0
 
 
@@ -112,10 +112,11 @@ def _data(value: Any) -> Any:
 
 def _by_rest(tree: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, str]:
     out: dict[str, str] = {}
+    longest = max(map(len, names))  # words have a letter at least
     for key in tree:
         words = [w for w in re.split(r"[^A-Za-z\d]+|(?<=[a-z])(?=[A-Z\d])|(?<=[A-Z])(?=\d)", key) if w]
         for i in range(len(words)):
-            for j in range(len(words), i, -1):
+            for j in range(min(len(words), i + longest), i, -1):
                 if "".join(words[i:j]).lower() in names:
                     rest = "_".join(w.lower() for w in (*words[:i], *words[j:]) if w.lower() not in ("camera", "cam"))
                     out.setdefault(rest, key)

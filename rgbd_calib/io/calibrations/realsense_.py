@@ -23,7 +23,7 @@ def read(document: Document) -> FoundCalibration:
     path, notes = document.path, []
     lenses = {}
     for keys, own in _lenses(document.tree):
-        name = "_".join(k for k in keys if k not in ("intrinsics", "intrinsic", "")) or document.stem
+        name = "_".join(k for k in keys if k not in ("intrinsics", "intrinsic", ""))[:200] or document.stem
         width, height, fx, fy, ppx, ppy = numbers(path, name, [own[key] for key in _KEYS], 6)
         size = (int(width), int(height))
         coefficients = needed(path, name, own, "coeffs", "coefficients")

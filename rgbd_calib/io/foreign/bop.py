@@ -33,14 +33,15 @@ class BopScene(Source):
         if (path / "depth").is_dir():
             patterns["depth"] = "depth/{frame}.*"
         self._folder = PictureFolder(path, camera, patterns)  # type: ignore[arg-type]
-        images = list(_scene(path / "scene_camera.json").values())
+        file = path / "scene_camera.json"
+        images = list(_scene(file).values())
         stream = self._folder._guess.streams["color"]["C1"].sniffed
         size = (stream.width, stream.height)
-        lens, remarks = _lens(path / "scene_camera.json", images, size)
-        scales = {float(own.get("depth_scale", 0)) for own in images}
+        lens, remarks = _lens(file, images, size)
+        scales = {float(numbers(file, "depth_scale", own.get("depth_scale"), 1)[0]) for own in images}
         if len(scales) > 1 or not 1e-3 <= next(iter(scales)) <= 1000:
             raise ConfigError(
-                f"{path / 'scene_camera.json'}: depth_scale {sorted(scales)[:3]} seen, one for all images needed"
+                f"{file}: depth_scale {sorted(scales)[:3]} seen, one from 0.001 to 1000 for all images needed"
             )
         self.cameras = {camera: SourceCamera(lens, None, next(iter(scales)) / 1000, True)}
         self.remarks = (*remarks, *self._folder.remarks)
