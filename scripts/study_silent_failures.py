@@ -2,11 +2,13 @@
 
     python scripts/study_silent_failures.py [--json] [--seeds 2] [--only PATTERN] [--ideal]
     python scripts/study_silent_failures.py --false-alarms 100
+    python scripts/study_silent_failures.py --recording REALSENSE3
 
 A row is right where both errors, two cameras' places of one point against each other and against the truth, are at most 1 mm
 or at most twice what the result states (for places against the truth with the uncertainty of the scale in it, which is stated
 apart); else it must have ended in an error, or in a verdict that says not to trust it or by how much the stated error is too
-small. What is left is SILENT. What is said must name the cause: :mod:`spoiling_causes`.
+small. What is left is SILENT. What is said must name the cause: :mod:`spoiling_causes`. A real recording's spoiled files
+(:mod:`real_spoilings`) are compared with what it gives unspoiled, in place of the truth.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import re
 import tempfile
 import time
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -24,16 +26,19 @@ from typing import Any
 
 import click
 import numpy as np
-from spoiling_causes import CAUSES
+from real_spoilings import CAUSES as REAL_CAUSES
+from real_spoilings import SPOILINGS, Files, Spoiling, with_unspoiled
+from spoiling_causes import CAUSES as SIMULATED_CAUSES
 
 from rgbd_calib.cameras.depth_bias import fit_with_data
 from rgbd_calib.errors import RgbdCalibError
 from rgbd_calib.geometry import align, se3
+from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.io.rig import write_depth_bias, write_intrinsics
 from rgbd_calib.pipeline.calibrate import Calibration, calibrate
 from rgbd_calib.pipeline.config import Config
-from rgbd_calib.pipeline.detection import detections_from, silent
+from rgbd_calib.pipeline.detection import board_of, detections_from, silent
 from rgbd_calib.pipeline.evaluate import against_truth
 from rgbd_calib.simulation.faults import FAULTS, RINGS
 from rgbd_calib.simulation.realism import IDEAL, Realism
@@ -47,6 +52,7 @@ from rgbd_calib.views.detect import DetectParams
 
 STATED_FACTOR, FLOOR_MM = 2.0, 1.0
 REALISTIC = Realism()
+CAUSES = SIMULATED_CAUSES | REAL_CAUSES
 
 
 @dataclass(frozen=True)
@@ -108,22 +114,50 @@ def try_fault(
         except RgbdCalibError as error:
             said = str(error).replace(folder, "DIR")
             return Row(fault, seed, None, None, None, 0.0, "error", said, time.perf_counter() - start)
-    seconds = time.perf_counter() - start
-    quality = result.rig.quality
-    verdict = judge(quality, ())
     rig = with_true_depth(result.rig, session)
-    scale = quality.self_check.scale
+    return row_of(fault, seed, result, rig, session.truth, session.boards, session.board, time.perf_counter() - start)
+
+
+def row_of(
+    fault: str,
+    seed: int,
+    result: Calibration,
+    rig: Rig,
+    truth: Rig,
+    boards: Mapping[str, FloatArray],
+    board: Board,
+    seconds: float,
+) -> Row:
+    """What a result says, and the errors of `rig` against the truth over the volume of its boards."""
+    quality = result.rig.quality
+    verdict, scale = judge(quality, ()), quality.self_check.scale
     return Row(
         fault,
         seed,
-        1e3 * float(against_truth(rig, session.truth, session.boards, session.board).distance_m.mean()),
-        place_error_mm(rig, session),
+        1e3 * float(against_truth(rig, truth, boards, board).distance_m.mean()),
+        place_error_mm(rig, truth, boards, board),
         quality.expected_mm,
         0.0 if scale is None else 10 * scale.sd_percent * scale.distance_m,
         verdict.level,
         " | ".join([verdict.headline, *verdict.reasons]),
         seconds,
     )
+
+
+def try_files(name: str, spoiling: Spoiling, recording: Path, base: Calibration) -> Row:
+    """Spoil the files of a recording in one way, calibrate it, and compare with the unspoiled result."""
+    start = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        files = Files(recording, Path(folder) / "recording")
+        spoiling.apply(files)
+        try:
+            result = calibrate(open_recording(files.folder), Config())
+        except RgbdCalibError as error:
+            said = str(error).replace(folder, "DIR")
+            return Row(name, 0, None, None, None, 0.0, "error", said, time.perf_counter() - start)
+    board = board_of(open_recording(recording))
+    rig = with_unspoiled(result.rig, base.rig, spoiling)
+    return row_of(name, 0, result, rig, base.rig, base.boards, board, time.perf_counter() - start)
 
 
 def calibrate_session(session: Session, folder: Path) -> Calibration:
@@ -171,13 +205,12 @@ def with_true_depth(rig: Rig, session: Session) -> Rig:
     return replace(rig, cameras=cameras)
 
 
-def place_error_mm(rig: Rig, session: Session) -> float:
+def place_error_mm(rig: Rig, truth: Rig, boards: Mapping[str, FloatArray], board: Board) -> float:
     """Mean distance of where each camera puts points of the boards' box from where they are.
 
     The world is laid on the true one: where the reference camera's axis is within it is nobody's concern.
     """
-    truth = session.truth
-    corners = np.concatenate([se3.transform(T, session.board.corners_m()) for T in session.boards.values()])
+    corners = np.concatenate([se3.transform(T, board.corners_m()) for T in boards.values()])
     points = uncertainty.volume(corners, 8)
     places, true = [], []
     for name in rig.cameras:
@@ -269,19 +302,30 @@ def bound_95_mm(result: Calibration, session: Session, rng: np.random.Generator,
 @click.option("--first", default=0, show_default=True, help="Seed to begin with.")
 @click.option("--seeds", default=1, show_default=True)
 @click.option("--only", default="", help="Spoilings whose name matches this regular expression.")
+@click.option("--recording", type=click.Path(exists=True, path_type=Path), help="Spoil this one's files instead.")
 @click.option("--ideal", is_flag=True, help="Prints, sensors and walls without the errors of real ones.")
 @click.option("--json", "as_json", is_flag=True, help="Print the rows as JSON.")
-def main(clean: int | None, first: int, seeds: int, only: str, ideal: bool, as_json: bool) -> None:
+def main(
+    clean: int | None, first: int, seeds: int, only: str, recording: Path | None, ideal: bool, as_json: bool
+) -> None:
     rows: list[dict[str, Any]] = []
+
+    def add(row: Row) -> None:
+        rows.append({**asdict(row), "judged": row.judged, "named": row.named})
+        click.echo(json.dumps(rows[-1]), err=True)
+
+    if recording:
+        base = calibrate(open_recording(recording), Config())
+        for name, spoiling in SPOILINGS.items():
+            if re.search(only, name):
+                add(try_files(name, spoiling, recording, base))
     if clean:
         for seed in range(first, first + clean):
             rows.append(asdict(false_alarm(seed)))
             click.echo(json.dumps(rows[-1]), err=True)
-    for fault in [] if clean else [f for f in FAULTS if re.search(only, f)]:
+    for fault in [] if clean or recording else [f for f in FAULTS if re.search(only, f)]:
         for seed in range(first, first + seeds):
-            row = try_fault(fault, seed, realism=IDEAL if ideal else Realism())
-            rows.append({**asdict(row), "judged": row.judged, "named": row.named})
-            click.echo(json.dumps(rows[-1]), err=True)
+            add(try_fault(fault, seed, realism=IDEAL if ideal else Realism()))
     if as_json:
         click.echo(json.dumps(rows, indent=1))
     else:

@@ -155,8 +155,8 @@ def judge(
     checks = quality.self_check
     if checks is not None and (scale := checks.scale) is not None:
         text = f"by the depth its squares are {round(scale.percent, 3) + 0.0:+.3f} ± {scale.sd_percent:.3f} % from what was stated"
-        mm = _mm(10 * scale.sd_percent * scale.distance_m)
-        text = f"Absolute scale depends on the board: {text}, or {mm} at {scale.distance_m:.1f} m (one sigma)"
+        own_mm, mm = 10 * scale.percent * scale.distance_m, _mm(10 * scale.sd_percent * scale.distance_m)
+        text = f"Absolute scale depends on the board: {text}, or {own_mm:+.1f} ± {mm} at {scale.distance_m:.1f} m (one sigma)"
         reasons.append(Reason(text))
     weak, advice = _weaknesses(quality)
     reasons += weak

@@ -25,7 +25,9 @@ from rgbd_calib.types import Board, PlacedView, PosedView
 
 MIN_AGREEING = 0.5
 """Share of a pair's frames: where fewer agree, and no more than by another reading, they are not of one instant each."""
-
+MIN_SIDE, MOST_OF_SIDE, FEW = 3, 0.8, 0.75
+"""Frames before and after a change of the relative pose, the share of each side that must agree, and the share of all below
+which a change is looked for."""
 
 MAX_PROPOSALS = 128
 """Frames of a pair that propose a relative pose, spread over all of them; all vote. So the time grows as the frames do."""
@@ -93,6 +95,7 @@ def associate(
     """
     params = params or AssociationParams()
     pairs = _explained(_vote(_by_frame(views), _motions(board), params), views, board, params)
+    pairs = [replace(p, cause=p.cause or _changed(p, views, board, params)) for p in pairs]
     _check_connected(cameras, pairs)
     T_world_color = _chain(reference, cameras, pairs)
     placed, dropped = label_views(views, board, T_world_color, params)
@@ -141,13 +144,21 @@ def _distance(T: FloatArray, others: FloatArray, params: AssociationParams) -> F
 def _vote(
     by_frame: dict[str, dict[str, PosedView]], motions: list[FaceMotion], params: AssociationParams
 ) -> list[PairVotes]:
-    candidates: dict[tuple[str, str], list[FloatArray]] = {}
+    listed = _relative_poses(by_frame, motions)
+    return [_best_of(pair, relative, params) for pair, relative in sorted(listed.items())]
+
+
+def _relative_poses(
+    by_frame: Mapping[str, Mapping[str, PosedView]], motions: list[FaceMotion]
+) -> dict[tuple[str, str], FloatArray]:
+    """T_a_b (frames, motions, 4, 4) of each pair by its common frames, in the order of their names."""
+    listed: dict[tuple[str, str], list[FloatArray]] = {}
     for frame in sorted(by_frame):
         for a, b in combinations(sorted(by_frame[frame]), 2):
             T_a_face, T_b_face = by_frame[frame][a].T_color_face, by_frame[frame][b].T_color_face
             relative = np.stack([T_a_face @ G @ se3.inverse(T_b_face) for _, _, G in motions])
-            candidates.setdefault((a, b), []).append(relative)
-    return [_best_of(pair, np.stack(listed), params) for pair, listed in sorted(candidates.items())]
+            listed.setdefault((a, b), []).append(relative)
+    return {pair: np.stack(own) for pair, own in listed.items()}
 
 
 def _explained(
@@ -161,6 +172,29 @@ def _explained(
         told = _vote(_by_frame(read), motions, params)
         causes |= {p.cameras: cause for p in told if p.cameras in poor and p.votes > MIN_AGREEING * p.frames}
     return [replace(p, cause=causes.get(p.cameras)) for p in pairs]
+
+
+def _changed(pair: PairVotes, views: Sequence[PosedView], board: Board, params: AssociationParams) -> Cause | None:
+    """Where few agree: the frame from which on, in the order of names, they agree on another pose."""
+    if pair.frames < 2 * MIN_SIDE or pair.votes >= FEW * pair.frames:
+        return None
+    by_frame = {frame: own for frame, own in _by_frame(views).items() if own.keys() >= set(pair.cameras)}
+    relative = _relative_poses(by_frame, _motions(board))[pair.cameras]
+    one = _distance(pair.T_a_b, relative, params).min(axis=1) < 1
+    if (~one).sum() < MIN_SIDE:
+        return None
+    rest = _best_of(pair.cameras, relative[~one], params)
+    other = _distance(rest.T_a_b, relative, params).min(axis=1) < 1
+    names, places = sorted(by_frame), np.arange(MIN_SIDE, len(by_frame) - MIN_SIDE + 1)
+    for before, after in ((one, other), (other, one)):
+        votes = np.cumsum(before)[places - 1] + np.sum(after) - np.cumsum(after)[places - 1]
+        n = int(places[np.argmax(votes)])
+        if min(before[:n].mean(), after[n:].mean()) >= MOST_OF_SIDE:
+            return Cause(
+                f"their relative pose is another one from frame {names[n]} on",
+                "One of them was moved or mounted anew, or its images turned: keep the frames before it or those from it on",
+            )
+    return None
 
 
 def _other_readings(
@@ -251,8 +285,8 @@ def _chain(reference: str, cameras: Sequence[str], pairs: Sequence[PairVotes]) -
         a, b = best.cameras
         if best.cause:
             raise CalibrationError(
-                f"{a} and {b}: {best.votes} of {best.frames} common frames agree on the relative pose, {MIN_AGREEING:.0%} at "
-                f"least are needed: {best.cause.text}. {best.cause.advice}"
+                f"{a} and {b}: only {best.votes} of {best.frames} common frames agree on the relative pose: {best.cause.text}. "
+                f"{best.cause.advice}"
             )
         if best.votes <= best.rival_votes and best.votes < MIN_AGREEING * best.frames and best.frames > 2:
             raise CalibrationError(

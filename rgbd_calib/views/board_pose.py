@@ -41,6 +41,12 @@ def pose_view(
     params = params or BoardPoseParams()
     corners_m = board.corners_m()[view.ids]
     rays = intrinsics.rays(view.corners_px)
+    if not (inside := np.isfinite(rays).all(axis=1)).all():
+        u, v = view.corners_px[~inside][0]
+        raise CalibrationError(
+            f"{view.camera}: frame {view.frame}: lens parameters that cover the corners expected, the lens model has no ray at "
+            f"({u:.0f}, {v:.0f}) px. Film the board in the corners of this camera's images for its intrinsics, or leave the frame out"
+        )
     try:
         poses, rms = resection.homography_pose(corners_m[:, :2], rays)
     except CalibrationError as error:

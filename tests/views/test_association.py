@@ -220,3 +220,30 @@ def test_images_that_are_mirrored_are_named(board):
     ]
     with pytest.raises(CalibrationError, match=r"the images of C[12] are mirrored .*Switch mirroring off"):
         associate(mirrored, board, "C1", list(rig.cameras))
+
+
+@pytest.mark.parametrize("board", [BOARD, TWO_SIDED], ids=["odd", "two-sided"])
+def test_cameras_that_were_mounted_anew_are_named_with_the_frame(board):
+    before, after = arc(3), arc(3, 35.0)
+    boards, views, rng = drawn(before, board, 24, 3)
+    names = sorted(boards)
+    late = true_views(after, {f: boards[f] for f in names[11:]}, board, CORNER_NOISE, rng)
+    mixed = [*(v for v in views if v.frame < names[11]), *late]
+    with pytest.raises(
+        CalibrationError, match=rf"relative pose is another one from frame {names[11]} on.*mounted anew"
+    ):
+        associate(posed(mixed, before, board), board, "C1", list(before.cameras))
+
+
+def test_no_change_is_seen_where_frames_agree_on_nothing():
+    rig = arc(2)
+    _, views, _ = drawn(rig, BOARD, 24, 3)
+    frames = sorted({v.frame for v in views})
+    following = dict(zip(frames, [*frames[1:], frames[0]], strict=True))
+    late = [replace(v, frame=following[v.frame]) if v.camera == "C2" else v for v in views]
+    try:
+        pairs = associate(posed(late, rig, BOARD), BOARD, "C1", list(rig.cameras)).pairs
+    except CalibrationError as error:
+        assert "another one from frame" not in str(error)
+    else:
+        assert [p.cause for p in pairs] == [None]

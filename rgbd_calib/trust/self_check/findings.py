@@ -23,6 +23,9 @@ class SelfCheckParams:
     significance: float = 1e-3
     """Chance of a false alarm in a recording whose errors are as the model says, shared evenly among all tests of the
     recording (Bonferroni): one in a thousand calibrations."""
+    scale_significance: float = 1e-3
+    """The same of the board's size by itself: what people misstate most, with the depth as its only witness. Between the two it
+    is a caution."""
     caution_mm: float = 1.0
     """Three such errors make the 3 mm up to which a rig is called good; much less than what is stated is no news either."""
     distrust_mm: float = 3.0
@@ -47,6 +50,8 @@ class SelfCheckParams:
     max_left_apart: float = 4.0
     """Variance that views' poses still have, over that of their corners, once the errors that were found are in the model: those
     that are the cause leave 1 to 1.6."""
+    shaken: float = 2.0
+    """Deviation of one camera's views over that of the others': with three alike each gets a third of what one does."""
     wall_sigmas: float = 8.0
     """Of what was stated of a wall's written distance: tapes slip, and sag."""
     max_wall_bend: float = 5e-3

@@ -1,4 +1,4 @@
-"""A board that was not in one place while all cameras exposed: its cameras disagree otherwise in each frame."""
+"""A board, or a camera, that was not in one place while all cameras exposed: its cameras disagree otherwise in each frame."""
 
 from __future__ import annotations
 
@@ -29,11 +29,13 @@ def check_motion(
     apart_mm : by camera, RMS by which a view's pixels put its board beside where the others put it.
     errors : what was found.
     """
-    if not any(own.cameras for own in errors) or not _ratios(explained) > params.max_left_apart:
+    if not _ratios(explained) > params.max_left_apart:
         return []
     name = max(eq.cameras, key=lambda c: _ratios(eq, c))
     if apart_mm.get(name, 0.0) < params.distrust_mm:
         return []
+    if not any(own.cameras for own in errors):
+        return _shaken(eq, name, apart_mm[name], params)
     text = (
         f"{name}'s images put the board elsewhere in each frame than the other cameras' images do, by "
         f"{apart_mm[name]:.0f} mm (RMS), and no error of a lens or a pose explains it: frames of one name are not one instant"
@@ -43,6 +45,22 @@ def check_motion(
         "with `rgbd-calib sync` (`synchronous: false` in dataset.yaml)"
     )
     return [Finding("board moved", "distrust", (name,), text, advice, round(apart_mm[name], 2))]
+
+
+def _shaken(eq: Equations, name: str, apart_mm: float, params: SelfCheckParams) -> list[Finding]:
+    """One camera of three or more disagrees with the others far more than these do with each other."""
+    others = [_ratios(eq, c) for c in eq.cameras if c != name]
+    if len(others) < 2 or _ratios(eq, name) < params.shaken**2 * float(np.median(others)):
+        return []
+    text = (
+        f"{name}'s images put the board elsewhere in each frame than the other cameras' images do, by {apart_mm:.0f} mm (RMS), "
+        "and those agree better with each other"
+    )
+    advice = (
+        "Switch image stabilisation and autofocus off, fix the camera to its mount, and check that its frames are of the same "
+        "instants as the others'; then film again"
+    )
+    return [Finding("camera shakes", "distrust", (name,), text, advice, round(apart_mm, 2))]
 
 
 def _ratios(eq: Equations, camera: str | None = None) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from rgbd_calib.rig.blocks import Block
+from rgbd_calib.rig.blocks.board_scale import BoardScale
 from rgbd_calib.rig.problem import Problem
 from rgbd_calib.trust.self_check.equations import Equations, Score
 from rgbd_calib.trust.self_check.findings import Finding, SelfCheckParams
@@ -80,10 +81,11 @@ def findings_of(
     said, taken into the model, and the others are tested again, until nothing fails that matters (forward selection).
     """
     limit, least_m = params.significance / max(len(tests), 1), 1e-3 * max(params.caution_mm, SMALL_SHARE * stated_mm)
+    limits = {BoardScale.name: params.scale_significance}
     told: list[Outcome] = []
     left, alone = tests, {t.hypothesis: np.trace(t.score.covariance) for t in tests}
     while len(told) < MAX_TOLD:
-        left = [t for t in left if t.score.p < limit and t.score.effect_m > least_m]
+        left = [t for t in left if t.score.p < limits.get(t.hypothesis.name, limit) and t.score.effect_m > least_m]
         if not left:
             break
         best = max(left, key=lambda t: t.gain)
@@ -91,10 +93,11 @@ def findings_of(
         eq = best.hypothesis.accepted(eq)
         beside = [Outcome(t.hypothesis, t.hypothesis.test(eq)) for t in left if t is not best]
         left = _retested(eq, [t for t in beside if np.trace(t.score.covariance) < SEPARABLE**2 * alone[t.hypothesis]])
+    distrust_mm = max(params.distrust_mm, stated_mm)
     findings = [
         Finding(
             t.hypothesis.name,
-            "distrust" if 1e3 * t.score.effect_m > max(params.distrust_mm, stated_mm) else "caution",
+            "distrust" if t.score.p < limit and 1e3 * t.score.effect_m > distrust_mm else "caution",
             t.hypothesis.cameras,
             t.hypothesis.say(eq, t.score),
             t.hypothesis.fault.advice,
