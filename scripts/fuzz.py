@@ -49,7 +49,7 @@ BY_STRUCTURE = (
     "rgb.txt",
 )
 SAY_S = 10.0
-HANGS_S = 60.0
+HANGS_S = 300.0
 """Without a further input, a reader hangs where no signal reaches it."""
 
 

@@ -74,12 +74,12 @@ class Outcome:
 def attempt(parser: Parser, data: bytes) -> Outcome:
     """Read once; a fault is any other exception, a warning, words on stderr, too much time or too much memory."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    start = time.perf_counter()
+    start = time.process_time()  # of a loaded machine, too
     status, what = "accepted", ""
     said = io.StringIO()
     with warnings.catch_warnings(record=True) as seen, redirect_stderr(said):
         warnings.simplefilter("always")
-        signal.setitimer(signal.ITIMER_REAL, 2 * SLOW_S)
+        signal.setitimer(signal.ITIMER_REAL, 6 * SLOW_S)
         try:
             parser.read(data)
         except RgbdCalibError as error:
@@ -101,7 +101,7 @@ def attempt(parser: Parser, data: bytes) -> Outcome:
             signal.setitimer(signal.ITIMER_REAL, 0)
     if status != "fault" and (seen or said.getvalue()):
         status, what = "fault", f"warning: {seen[0].message if seen else said.getvalue()[:100]}"
-    if time.perf_counter() - start > SLOW_S:
+    if time.process_time() - start > SLOW_S:
         status, what = "fault", f"more than {SLOW_S:g} s"
     if (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) << 10 > LARGE_BYTES:
         status, what = "fault", "more than 1 GiB"

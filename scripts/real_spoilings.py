@@ -82,7 +82,7 @@ def _moved(by: tuple[float, float]) -> Callable[[Image], Image]:
 def _cropped(image: Image) -> Image:
     h, w = image.shape[:2]
     inner = image[h // 20 : h - h // 20, w // 20 : w - w // 20]
-    return cv2.resize(inner, (w, h), interpolation=cv2.INTER_NEAREST if image.ndim == 2 else cv2.INTER_AREA)
+    return cv2.resize(inner, (w, h), interpolation=cv2.INTER_NEAREST if image.ndim == 2 else cv2.INTER_LINEAR)
 
 
 def _resized(image: Image) -> Image:
@@ -118,6 +118,67 @@ def _holes(depth: Image) -> Image:
     out = depth.copy()
     out[:, : out.shape[1] // 2] = 0
     return out
+
+
+def _decimated(depth: Image) -> Image:
+    h, w = depth.shape
+    return cv2.resize(depth[::4, ::4], (w, h), interpolation=cv2.INTER_NEAREST)
+
+
+def _filled(depth: Image) -> Image:
+    """Holes take the farthest value around them, as librealsense's filter does."""
+    return np.where(depth > 0, depth, cv2.dilate(depth, np.ones((31, 31), np.uint8)))
+
+
+def _letterboxed(image: Image) -> Image:
+    """Squeezed to three quarters of its height, with black bars."""
+    h, w = image.shape[:2]
+    inner = cv2.resize(image, (w, h * 3 // 4), interpolation=cv2.INTER_NEAREST if image.ndim == 2 else cv2.INTER_LINEAR)
+    out = np.zeros_like(image)
+    out[h // 8 : h // 8 + inner.shape[0]] = inner
+    return out
+
+
+def _interlaced(image: Image) -> Image:
+    out = image.copy()
+    out[::2] = np.roll(image[::2], 2, axis=1)
+    return out
+
+
+def _turned(deg: float) -> Callable[[Image], Image]:
+    def change(image: Image) -> Image:
+        h, w = image.shape[:2]
+        return cv2.warpAffine(image, cv2.getRotationMatrix2D((w / 2, h / 2), deg, 1), (w, h), flags=cv2.INTER_NEAREST)
+
+    return change
+
+
+def _gamma(image: Image) -> Image:
+    return np.rint(255 * (image / 255.0) ** 2.2).astype(np.uint8)
+
+
+def _disparity(depth: Image) -> Image:
+    return np.where(depth > 0, 3e7 / np.maximum(depth, 1) / 32, 0).clip(0, 65535).astype(np.uint16)
+
+
+def _sparse(value: int) -> Callable[[Image], Image]:
+    return lambda depth: np.where(depth > 0, depth, value).astype(np.uint16)
+
+
+def _lost_frame(files: Files) -> None:
+    """The fifth frame of the second camera is lost, and those after it move up."""
+    for kind in ("color", "depth"):
+        paths = files.of(1, kind)
+        kept = [path.read_bytes() for path in paths]
+        for path, data in zip(paths[5:-1], kept[6:], strict=True):
+            path.write_bytes(data)
+        paths[-1].unlink()
+
+
+def _unpadded(files: Files) -> None:
+    for kind in ("color", "depth"):
+        for path in files.of(1, kind):
+            path.rename(path.with_name(f"{int(path.stem)}{path.suffix}"))
 
 
 def _of_late(kind: str, change: Callable[[Image], Image]) -> Callable[[Files], object]:
@@ -220,10 +281,33 @@ SPOILINGS: dict[str, Spoiling] = {
     "registered: false": Spoiling(lambda f: f.edit("depth_registered: true", "registered: false"), "depth_registered"),
     "depth_registered: false": Spoiling(lambda f: f.edit("depth_registered: true", "depth_registered: false"), "register"),
     "synchronous: false": Spoiling(lambda f: f.edit("depth_scale", "synchronous: false\ndepth_scale"), "stamps|synchronous"),
+    "a frame of one camera lost, those after it moved up": Spoiling(_lost_frame, "instant|relative pose|cam1"),
+    "frames of one camera without leading zeros": Spoiling(_unpadded),
+    "depth of one camera decimated by four and enlarged": Spoiling(lambda f: f.images("depth", _decimated, 1), "", "depth"),
+    "depth of one camera with its holes filled": Spoiling(lambda f: f.images("depth", _filled, 1), "", "depth"),
+    "depth of one camera averaged over 25 px": Spoiling(lambda f: f.images("depth", _blurred(25), 1), "", "depth"),
+    "depth of one camera as disparity": Spoiling(lambda f: f.images("depth", _disparity, 1), "cam1"),
+    "depth of one camera with its bytes exchanged": Spoiling(lambda f: f.images("depth", lambda i: i.byteswap(), 1), "cam1|depth"),
+    "depth of one camera as a picture of three channels": Spoiling(
+        lambda f: f.images("depth", lambda i: cv2.applyColorMap((i // 16).clip(0, 255).astype(np.uint8), 2), 1), "channel"
+    ),
+    "depth of one camera with 65535 for none": Spoiling(lambda f: f.images("depth", _sparse(65535), 1), "", "depth"),
+    "depth of one camera clipped at 0.9 m": Spoiling(
+        lambda f: f.images("depth", lambda i: np.minimum(i, 900), 1), "clipped|cam1"
+    ),
+    "one camera's images letterboxed": Spoiling(lambda f: f.both(_letterboxed, 1), "", "lens depth"),
+    "one camera's images interlaced": Spoiling(lambda f: f.images("color", _interlaced, 1), "", "lens"),
+    "one camera's colour turned by 2 deg about its middle": Spoiling(lambda f: f.images("color", _turned(2), 1), "cam1|depth"),
+    "one camera's images without gamma": Spoiling(lambda f: f.images("color", _gamma, 1)),
+    "one camera's images inverted": Spoiling(lambda f: f.images("color", lambda i: 255 - i, 1)),
+    "one camera's images grey": Spoiling(lambda f: f.images("color", lambda i: i[..., 1], 1)),
+    "one camera's colour black in half of the frames": Spoiling(_of_late("color", lambda i: 0 * i)),
+    "one camera's colour moved by 10 px from frame 008 on": Spoiling(_of_late("color", _moved((10, 0))), "cam1"),
+    "one camera's images turned by 2 deg from frame 008 on": Spoiling(
+        lambda f: [_of_late(kind, _turned(2))(f) for kind in ("color", "depth")], "cam1 moved|cam1"
+    ),
+    "one camera's images of half the size in half of the frames": Spoiling(_of_late("color", _resized), "640x480"),
 }  # fmt: skip
-
-
-CAUSES = {name: own.says for name, own in SPOILINGS.items() if own.says}
 
 
 def with_unspoiled(now: Rig, base: Rig, spoiling: Spoiling) -> Rig:

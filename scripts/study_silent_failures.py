@@ -26,9 +26,8 @@ from typing import Any
 
 import click
 import numpy as np
-from real_spoilings import CAUSES as REAL_CAUSES
 from real_spoilings import SPOILINGS, Files, Spoiling, with_unspoiled
-from spoiling_causes import CAUSES as SIMULATED_CAUSES
+from spoiling_causes import CAUSES
 
 from rgbd_calib.cameras.depth_bias import fit_with_data
 from rgbd_calib.errors import RgbdCalibError
@@ -52,7 +51,6 @@ from rgbd_calib.views.detect import DetectParams
 
 STATED_FACTOR, FLOOR_MM = 2.0, 1.0
 REALISTIC = Realism()
-CAUSES = SIMULATED_CAUSES | REAL_CAUSES
 
 
 @dataclass(frozen=True)
@@ -72,6 +70,8 @@ class Row:
     level: str
     says: str
     seconds: float
+    cause: str = ""
+    """Words that name the cause."""
 
     @property
     def right(self) -> bool:
@@ -94,9 +94,9 @@ class Row:
     @property
     def named(self) -> bool | None:
         """Does what is said name the cause? None: nothing is said, or the cause is not in the table."""
-        if self.judged == "right" or self.fault not in CAUSES:
+        if self.judged == "right" or not self.cause:
             return None
-        return re.search(CAUSES[self.fault], self.says) is not None
+        return re.search(self.cause, self.says) is not None
 
 
 def try_fault(
@@ -106,16 +106,18 @@ def try_fault(
     layout, n = ("ring", max(cameras, 4)) if fault in RINGS else ("arc", cameras)
     rng = np.random.default_rng([seed, zlib.crc32(fault.encode())])
     scene = draw_scene(n, layout, frames, close, np.random.default_rng(seed), realism=realism)  # type: ignore[arg-type]
-    session = FAULTS[fault](scene, rng)
+    session, cause = FAULTS[fault](scene, rng), CAUSES.get(fault, "")
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         try:
             result = calibrate_session(session, Path(folder))
         except RgbdCalibError as error:
             said = str(error).replace(folder, "DIR")
-            return Row(fault, seed, None, None, None, 0.0, "error", said, time.perf_counter() - start)
+            return Row(fault, seed, None, None, None, 0.0, "error", said, time.perf_counter() - start, cause)
     rig = with_true_depth(result.rig, session)
-    return row_of(fault, seed, result, rig, session.truth, session.boards, session.board, time.perf_counter() - start)
+    seconds = time.perf_counter() - start
+    row = row_of(fault, seed, result, rig, session.truth, session.boards, session.board, seconds)
+    return replace(row, cause=cause)
 
 
 def row_of(
@@ -154,10 +156,11 @@ def try_files(name: str, spoiling: Spoiling, recording: Path, base: Calibration)
             result = calibrate(open_recording(files.folder), Config())
         except RgbdCalibError as error:
             said = str(error).replace(folder, "DIR")
-            return Row(name, 0, None, None, None, 0.0, "error", said, time.perf_counter() - start)
+            return Row(name, 0, None, None, None, 0.0, "error", said, time.perf_counter() - start, spoiling.says)
     board = board_of(open_recording(recording))
     rig = with_unspoiled(result.rig, base.rig, spoiling)
-    return row_of(name, 0, result, rig, base.rig, base.boards, board, time.perf_counter() - start)
+    row = row_of(name, 0, result, rig, base.rig, base.boards, board, time.perf_counter() - start)
+    return replace(row, cause=spoiling.says)
 
 
 def calibrate_session(session: Session, folder: Path) -> Calibration:

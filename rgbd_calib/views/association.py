@@ -166,12 +166,14 @@ def _explained(
 ) -> list[PairVotes]:
     """With the cause of few votes, where another description of the board has most frames agree."""
     poor = {p.cameras for p in pairs if p.frames > 2 and p.votes < MIN_AGREEING * p.frames}
-    causes: dict[tuple[str, str], Cause] = {}
+    causes: dict[tuple[str, str], tuple[float, Cause | None]] = {}
     concerned = [v for v in views if any(v.view.camera in pair for pair in poor)]
     for cause, read, motions in _other_readings(concerned, board):
-        told = _vote(_by_frame(read), motions, params)
-        causes |= {p.cameras: cause for p in told if p.cameras in poor and p.votes > MIN_AGREEING * p.frames}
-    return [replace(p, cause=causes.get(p.cameras)) for p in pairs]
+        for p in _vote(_by_frame(read), motions, params):
+            best, _ = causes.get(p.cameras, (MIN_AGREEING * p.frames, None))
+            if p.cameras in poor and p.votes > best:
+                causes[p.cameras] = p.votes, cause
+    return [replace(p, cause=causes[p.cameras][1] if p.cameras in causes else None) for p in pairs]
 
 
 def _changed(pair: PairVotes, views: Sequence[PosedView], board: Board, params: AssociationParams) -> Cause | None:

@@ -97,3 +97,11 @@ def test_cameras_without_depth_are_judged_by_their_pixels(tmp_path):
     assert quality.self_check.findings == ()
     assert quality.self_check.scale is None  # pixels have no metre
     assert judge(quality, ()).level == "good"
+
+
+@pytest.mark.parametrize(
+    "name", ["square in cm", "one camera's images mirrored", "frames of one camera named from 100 on"]
+)
+def test_spoiled_files_are_refused_with_their_cause(real_data, name):
+    own = study.try_files(name, study.SPOILINGS[name], real_data("realsense3"), None)
+    assert own.judged == "clear error" and own.named, own
