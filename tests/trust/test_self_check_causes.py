@@ -12,6 +12,7 @@ from rgbd_calib.trust.self_check import SelfCheckParams
 from rgbd_calib.trust.self_check import motion as motion_check
 from rgbd_calib.trust.self_check.findings import Finding
 from rgbd_calib.trust.self_check.motion import check_motion
+from rgbd_calib.trust.self_check.outcomes import Outcome, findings_of
 from rgbd_calib.trust.self_check.walls import WallDistances, check_bends, check_walls
 
 TRUE_M = np.linspace(0.6, 4.0, 10)
@@ -70,3 +71,45 @@ def test_walls_that_look_more_bent_than_walls_are_name_their_camera():
     (found,) = check_bends(solved, SelfCheckParams())
     assert found.cameras == ("C2",) and found.level == "caution"
     assert "C2's walls look bent by the depth, by 7 mm" in found.text  # 8 mm times 2 m times (320 / 500)^2
+
+
+RATIOS = {"C1": 180.0, "C2": 1124.0, "C3": 136.0}
+"""Of a simulated rig whose second camera's image centre moved by 3 px from frame to frame."""
+
+
+@pytest.mark.parametrize(
+    ("ratios", "apart_mm", "named"),
+    [
+        (RATIOS, 10.7, True),
+        (RATIOS, 1.0, False),
+        ({"C1": 36.4, "C2": 37.6, "C3": 48.6}, 10.7, False),
+        ({"C1": 180.0, "C2": 1124.0}, 10.7, False),
+    ],
+    ids=["shaken", "small", "all alike", "two cameras"],
+)
+def test_a_camera_that_shakes_by_itself_is_named(monkeypatch, ratios, apart_mm, named):
+    monkeypatch.setattr(
+        motion_check, "_ratios", lambda eq, camera=None: ratios[camera] if camera else max(ratios.values())
+    )
+    eq = SimpleNamespace(cameras=tuple(ratios))
+    found = check_motion(eq, eq, dict.fromkeys(ratios, apart_mm), [], SelfCheckParams())
+    assert [f.cameras for f in found] == ([("C2",)] if named else [])
+    assert all("image stabilisation" in f.advice and "11 mm" in f.text for f in found)
+
+
+@pytest.mark.parametrize(
+    ("name", "p", "level"),
+    [("scale", 3e-4, "caution"), ("scale", 1e-7, "distrust"), ("scale", 2e-3, None), ("image", 3e-4, None)],
+)
+def test_the_boards_size_has_a_significance_of_its_own(name, p, level):
+    score = SimpleNamespace(p=p, effect_m=0.02, statistic=13.0, dof=1, plain=13.0, covariance=np.eye(1))
+    fault = SimpleNamespace(advice="Measure the print")
+    own = {"name": name, "cameras": (), "accepted": lambda eq: eq, "say": lambda eq, s: "text", "fault": fault}
+    others = [Outcome(_Hashed(name="other"), SimpleNamespace(p=0.5, effect_m=0.02, covariance=np.eye(1)))] * 75
+    tests = [Outcome(_Hashed(**own), score), *others]
+    found, _ = findings_of(None, tests, SelfCheckParams(), 2.0)
+    assert [f.level for f in found] == ([] if level is None else [level])
+
+
+class _Hashed(SimpleNamespace):
+    __hash__ = object.__hash__
