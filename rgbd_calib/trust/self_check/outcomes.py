@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +56,8 @@ def outcomes_of(eq: Equations, problem: Problem, held: tuple[Block, ...], params
 
 SMALL_SHARE = 1 / 3
 """Of the stated error: a smaller one beside it adds a twentieth, and is no news."""
+MOST = 0.5
+"""Share of the board's size that is left beside the errors that were told, where they do not explain it."""
 SEPARABLE = 3.0
 """Times as uncertain beside the errors that were told: what is more, the data do not tell from them (a board's size and the bias
 of a depth that no wall has measured), and the estimate leaves the range in which the model is linear."""
@@ -93,6 +96,7 @@ def findings_of(
         eq = best.hypothesis.accepted(eq)
         beside = [Outcome(t.hypothesis, t.hypothesis.test(eq)) for t in left if t is not best]
         left = _retested(eq, [t for t in beside if np.trace(t.score.covariance) < SEPARABLE**2 * alone[t.hypothesis]])
+    told += [t for t in _scale_left(eq, tests, told, params) if t.score.effect_m > least_m]
     distrust_mm = max(params.distrust_mm, stated_mm)
     findings = [
         Finding(
@@ -107,3 +111,12 @@ def findings_of(
         for t in told
     ]
     return findings, eq
+
+
+def _scale_left(
+    eq: Equations, tests: Sequence[Outcome], told: Sequence[Outcome], params: SelfCheckParams
+) -> list[Outcome]:
+    """The board's size, where it is off by itself, and errors that were told explain less than half of it."""
+    off = [t for t in tests if t.hypothesis.name == BoardScale.name and t.score.p < params.scale_significance]
+    untold = [t for t in off if all(own.hypothesis is not t.hypothesis for own in told)]
+    return [t for t in untold if abs(t.hypothesis.test(eq).estimate[0]) > MOST * abs(t.score.estimate[0])]
