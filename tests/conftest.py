@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from dask_cluster import Cluster
 from hypothesis import settings
+from virtual_rig import build_redist
 
 from rgbd_calib.cli.main import main
 from rgbd_calib.geometry import se3, so3
@@ -64,6 +65,12 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RGBD_CALIB_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield
+
+
+@pytest.fixture(scope="session")
+def redist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with OpenNI2's runtime and the virtual driver; skips the test where something is missing that it needs."""
+    return build_redist(tmp_path_factory.mktemp("openni2") / "redist")
 
 
 @pytest.fixture(scope="session")

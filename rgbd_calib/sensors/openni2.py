@@ -59,6 +59,8 @@ class Runtime:
         try:
             device = OpenNi2Device(self._binding, self._binding.Device(uri.encode()))
         except self._binding.OpenNIError as error:
+            if uri not in self.uris() and not Path(uri).exists():
+                raise CalibrationError(f"{uri}: the device is no longer attached. Plug it in again") from None
             raise CalibrationError(
                 f"{uri}: the device does not open ({reason(error)}). It must be free and reachable: close other programs "
                 "that use it, replug it, check the udev rules of libopenni2-0, and give it a USB 2.0 controller of its own"

@@ -2,7 +2,8 @@
 
 Its traps, kept from everybody else: names are bytes; the serial number has no helper; registration can be set only
 after a depth stream exists; `read_frame` on a silent stream never returns, so a frame is always waited for first; a
-device that is closed before its streams crashes the process.
+device that is closed before its streams crashes the process; once a thread has ended that waited for frames, the next thread
+that begins to wait crashes it too.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from rgbd_calib.errors import CalibrationError
 from rgbd_calib.io.dataset import CameraInfo, DepthGeometry
 from rgbd_calib.sensors.driver import DeviceSettings
 from rgbd_calib.sensors.frames import Kind, SensorFrame
+from rgbd_calib.sensors.lasting_thread import LastingThread
 from rgbd_calib.sensors.usb import UsbPlace, usb_place
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
@@ -24,6 +26,9 @@ EMITTER_STATE = 0x1080E007
 """XN_MODULE_PROPERTY_EMITTER_STATE of PS1080.h: the infrared projector."""
 
 _SERIAL, _FIRMWARE = 3, 0
+_EXPOSURE_S = (
+    0.5  # after the start a camera does not take settings of exposure at once (ros-drivers/openni2_camera issue 51)
+)
 _CLOSE_PAUSE_S = 0.05  # between stopping and closing streams: the runtime's threads need it
 
 
@@ -36,6 +41,7 @@ class OpenNi2Device:
         self._color: Any = None
         self._depth: Any = None
         self._running = False
+        self._waiting: LastingThread | None = None
         self._registered = True
         self.uri: str = handle.uri.decode()
         self.name: str = handle.device_info.name.decode()
@@ -140,7 +146,7 @@ class OpenNi2Device:
         return f"{self.uri} (serial {self.serial or 'unknown'})"
 
     def start(self) -> None:
-        """Start both streams.
+        """Start both streams, exposure and white balance automatic.
 
         Raises
         ------
@@ -156,9 +162,17 @@ class OpenNi2Device:
                     "camera a USB 2.0 controller of its own (`lsusb -t`), and replug it"
                 ) from None
         self._running = True
+        until_s = time.monotonic() + _EXPOSURE_S
+        while not self._set_automatic(True) and time.monotonic() < until_s:
+            time.sleep(_EXPOSURE_S / 10)
 
     def wait_frame(self, timeout_s: float) -> SensorFrame | None:
         """The next frame of either stream, copied; None where none comes in time. Call it from one thread only."""
+        if self._waiting is None:
+            self._waiting = LastingThread.take()
+        return self._waiting.call(lambda: self._wait_frame(timeout_s))
+
+    def _wait_frame(self, timeout_s: float) -> SensorFrame | None:
         stream = self._binding.wait_for_any_stream([self._color, self._depth], timeout_s)
         if stream is None:
             return None
@@ -173,15 +187,7 @@ class OpenNi2Device:
 
     def lock_exposure(self) -> bool:
         """Freeze exposure and white balance as they are now; False where the camera does not take it."""
-        camera = self._color.camera
-        if camera is None:
-            return False
-        try:
-            camera.auto_exposure = False
-            camera.auto_white_balance = False
-            return not (camera.auto_exposure or camera.auto_white_balance)
-        except self._binding.OpenNIError:
-            return False
+        return self._color.camera is not None and self._set_automatic(False)
 
     def camera_settings(self) -> dict[str, Any]:
         """Exposure and white balance as the camera reports them."""
@@ -236,6 +242,9 @@ class OpenNi2Device:
         """Stop and close, streams before the device. No thread may be reading; calling it twice does nothing."""
         if not self._handle:
             return
+        if self._waiting is not None:
+            self._waiting.give_back()
+            self._waiting = None
         streams = [s for s in (self._color, self._depth) if s is not None]
         if self._running:
             for stream in streams:
@@ -282,6 +291,17 @@ class OpenNi2Device:
                 f"{self.label}: {what} refused ({reason(error)}); needed: {needed}. "
                 "`rgbd-calib devices` lists what the camera offers"
             ) from None
+
+    def _set_automatic(self, on: bool) -> bool:
+        """Exposure and white balance; True where the camera took it, or has neither."""
+        camera = self._color.camera
+        if camera is None:
+            return True
+        try:
+            camera.auto_exposure = camera.auto_white_balance = on
+            return bool(camera.auto_exposure) == bool(camera.auto_white_balance) == on
+        except self._binding.OpenNIError:
+            return False
 
     def _text_property(self, number: int) -> str | None:
         try:

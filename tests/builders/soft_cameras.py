@@ -35,12 +35,20 @@ class SoftCamera(ABC):
     unit_m: float
     prefix: str
     """Of its uris."""
+    states_geometry: ClassVar[bool] = True
+    """It delivers depth as measured, and states lenses and extrinsics; else depth is registered to colour, and no lens stated."""
+    synchronises: ClassVar[bool] = True
+    """The make has modes of synchronisation by cable."""
 
     def __init__(self, serial: str) -> None:
         self.serial = serial
         self.sent = 0
         self.device_us = 1_000_000
         """Of the last frames."""
+
+    def is_at(self, uri: str) -> bool:
+        """True for the uri by which its driver opens it."""
+        return uri.startswith(self.prefix + self.serial)
 
     def pixels(self, kind: str, n: int) -> np.ndarray:
         """Of frame n."""

@@ -21,7 +21,6 @@ from virtual_rig import (
     SOURCES,
     VirtualRig,
     build,
-    build_redist,
     check_whole,
     feed,
     finish,
@@ -35,11 +34,6 @@ from rgbd_calib.io.recording import open_recording
 
 BOARD = ("--board", "9x6", "--square", "0.06")
 QUICK = ("--settle", "0.3", "--interval", "0.1")
-
-
-@pytest.fixture(scope="session")
-def redist(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build_redist(tmp_path_factory.mktemp("openni2") / "redist")
 
 
 @pytest.fixture(scope="session")
@@ -230,6 +224,19 @@ def test_unplugged_and_plugged_in_again(rig):
     assert n + 2 <= len(recording.color_files["C2"]) < len(recording.color_files["C1"])
     assert last_session(out)["counts"]["absent"]["C2"] >= 1
     assert "C2: missing in" in ended.stderr
+
+
+def test_cameras_opened_and_closed_again_and_again(rig):
+    """As by `monitor`: the runtime crashes once a thread waits for frames after another one that waited has ended."""
+    program = f"""
+from pathlib import Path
+from rgbd_calib.capture.still_scene import take_snapshots
+for _ in range(6):
+    print(*take_snapshots(("openni2",), Path({str(rig.redist)!r}), {{}}, {{}}, 2, settle_s=0.1))
+"""
+    ended = rig.run(python=program)
+    assert ended.status == 0, ended.stderr
+    assert ended.stdout.splitlines() == ["C1 C2"] * 6
 
 
 def test_colour_stalls_and_comes_back(rig):

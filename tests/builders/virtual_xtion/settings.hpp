@@ -47,6 +47,13 @@ inline bool listed(const char* name, int device) {
 	return false;
 }
 
+inline std::vector<std::string> words(const std::string& list) {
+	std::vector<std::string> out;
+	std::stringstream stream(list);
+	for (std::string item; std::getline(stream, item, ',');) out.push_back(item);
+	return out;
+}
+
 struct DeviceFaults {
 	std::array<std::atomic<bool>, 2> stalled{};
 	std::array<std::atomic<int>, 2> drop{};
@@ -65,12 +72,18 @@ struct World {
 	bool interference = number("VXTION_INTERFERENCE", 0) != 0;
 	// Which picture of the data is in view; -1: they follow each other.
 	std::atomic<long> scene{number("VXTION_SCENE", -1)};
+	// No frames of its own: the program that loaded the driver sends each of them; see the end of virtual_xtion.cpp.
+	bool byHand = number("VXTION_BY_HAND", 0) != 0;
+	std::vector<std::string> serials = words(text("VXTION_SERIALS"));
 	std::array<DeviceFaults, kMaxDevices> faults;
 	std::array<std::atomic<bool>, kMaxDevices> emitter;
+	// Kept by the camera from session to session; on when it gets power, as PS1080.
+	std::array<std::atomic<bool>, kMaxDevices> autoExposure, autoWhite;
 	double startedUs = 0;
 
 	World() {
-		for (auto& on : emitter) on = true;
+		for (auto* switches : {&emitter, &autoExposure, &autoWhite})
+			for (auto& on : *switches) on = true;
 		for (int i = 0; i < devices; ++i) {
 			if (listed("VXTION_SILENT", i)) faults[i].stalled[kColor] = faults[i].stalled[kDepth] = true;
 			if (listed("VXTION_UNPLUGGED", i)) faults[i].plugged = false;

@@ -131,9 +131,9 @@ public:
 			case ONI_STREAM_PROPERTY_MIN_VALUE:
 				return give(data, size, 0);
 			case ONI_STREAM_PROPERTY_AUTO_EXPOSURE:
-				return give(data, size, autoExposure_ ? TRUE : FALSE);
+				return give(data, size, world().autoExposure[device_] ? TRUE : FALSE);
 			case ONI_STREAM_PROPERTY_AUTO_WHITE_BALANCE:
-				return give(data, size, autoWhite_ ? TRUE : FALSE);
+				return give(data, size, world().autoWhite[device_] ? TRUE : FALSE);
 			case ONI_STREAM_PROPERTY_EXPOSURE:
 				return give(data, size, 20);
 			default:
@@ -163,16 +163,34 @@ public:
 		}
 		const bool automatic = id == ONI_STREAM_PROPERTY_AUTO_EXPOSURE || id == ONI_STREAM_PROPERTY_AUTO_WHITE_BALANCE;
 		if (automatic && !running_) return ONI_STATUS_ERROR;  // real cameras take it only while they stream
-		if (id == ONI_STREAM_PROPERTY_AUTO_EXPOSURE) autoExposure_ = value != 0;
-		if (id == ONI_STREAM_PROPERTY_AUTO_WHITE_BALANCE) autoWhite_ = value != 0;
+		if (id == ONI_STREAM_PROPERTY_AUTO_EXPOSURE) world().autoExposure[device_] = value != 0;
+		if (id == ONI_STREAM_PROPERTY_AUTO_WHITE_BALANCE) world().autoWhite[device_] = value != 0;
 		return ONI_STATUS_OK;
 	}
 
 	// Deliver exposure `index`, which shows picture `source` of the data.
 	void deliver(uint64_t index, uint64_t source, uint64_t timestampUs, bool registered) {
+		raise(mode_.resolutionX, mode_.resolutionY, timestampUs, [&](uint8_t* out) {
+			paint(out, source, index, registered);
+			if (world().stamp) {
+				const uint64_t stamp[2] = {index, monotonicNs()};
+				std::memcpy(out, stamp, sizeof(stamp));
+			}
+		});
+	}
+
+	// Deliver these pixels, of any size that fits.
+	void deliver(const void* pixels, int width, int height, uint64_t timestampUs) {
+		raise(width, height, timestampUs, [&](uint8_t* out) {
+			std::memcpy(out, pixels, static_cast<size_t>(width * height * bytesPerPixel()));
+		});
+	}
+
+private:
+	template <typename Fill>
+	void raise(int width, int height, uint64_t timestampUs, Fill fill) {
 		OniFrame* frame = getServices().acquireFrame();
 		if (frame == nullptr) return;
-		const int width = mode_.resolutionX, height = mode_.resolutionY;
 		frame->dataSize = width * height * bytesPerPixel();
 		frame->sensorType = kind_ == kColor ? ONI_SENSOR_COLOR : ONI_SENSOR_DEPTH;
 		frame->timestamp = timestampUs;
@@ -183,17 +201,11 @@ public:
 		frame->croppingEnabled = FALSE;
 		frame->cropOriginX = frame->cropOriginY = 0;
 		frame->stride = width * bytesPerPixel();
-		auto* out = static_cast<uint8_t*>(frame->data);
-		paint(out, source, index, registered);
-		if (world().stamp) {
-			const uint64_t stamp[2] = {index, monotonicNs()};
-			std::memcpy(out, stamp, sizeof(stamp));
-		}
+		fill(static_cast<uint8_t*>(frame->data));
 		raiseNewFrame(frame);
 		getServices().releaseFrame(frame);
 	}
 
-private:
 	void paint(uint8_t* out, uint64_t source, uint64_t index, bool registered) {
 		const uint8_t* picture = pictures_.at(source);
 		const int bytes = bytesPerPixel(), step = kWidth / mode_.resolutionX;
@@ -210,7 +222,7 @@ private:
 					std::memcpy(out + (y * mode_.resolutionX + x) * bytes, picture + (y * step * kWidth + from) * bytes, bytes);
 				}
 		}
-		if (kind_ == kColor && autoExposure_ && world().autoExposureShows)
+		if (kind_ == kColor && world().autoExposure[device_] && world().autoExposureShows)
 			for (int i = 0; i < mode_.resolutionX * mode_.resolutionY * 3; ++i) out[i] = static_cast<uint8_t>(std::min(255, out[i] + 20));
 		if (kind_ == kDepth && world().interference) punchHoles(reinterpret_cast<uint16_t*>(out), index);
 	}
@@ -228,7 +240,7 @@ private:
 	const int device_;
 	OniVideoMode mode_;
 	Pictures pictures_;
-	std::atomic<bool> running_{false}, mirrored_{true}, autoExposure_{true}, autoWhite_{true};  // defaults of PS1080
+	std::atomic<bool> running_{false}, mirrored_{true};  // defaults of PS1080
 	int delivered_ = 0;
 };
 

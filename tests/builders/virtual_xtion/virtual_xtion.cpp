@@ -27,12 +27,12 @@ public:
 			info.numSupportedVideoModes = static_cast<int>(modes(kind).size());
 			info.pSupportedVideoModes = const_cast<OniVideoMode*>(modes(kind).data());
 		}
-		thread_ = std::thread([this] { run(); });
+		if (!world().byHand) thread_ = std::thread([this] { run(); });
 	}
 
 	~Device() override {
 		alive_ = false;
-		thread_.join();
+		if (thread_.joinable()) thread_.join();
 	}
 
 	OniStatus getSensorInfoList(OniSensorInfo** sensors, int* count) override {
@@ -57,6 +57,15 @@ public:
 		delete stream;
 	}
 
+	// Give a frame to whoever streams, by hand.
+	void send(Kind kind, const void* pixels, int width, int height, uint64_t timestampUs) {
+		std::lock_guard<std::mutex> lock(mutex_);
+		for (Stream* stream : streams_)
+			if (stream->kind() == kind && stream->running()) stream->deliver(pixels, width, height, timestampUs);
+	}
+
+	bool is(int number) const { return number_ == number; }
+
 	OniBool isImageRegistrationModeSupported(OniImageRegistrationMode mode) override {
 		return mode == ONI_IMAGE_REGISTRATION_OFF || !listed("VXTION_NOREG", number_);
 	}
@@ -78,7 +87,7 @@ public:
 				return give(data, size, 6);
 			case ONI_DEVICE_PROPERTY_SERIAL_NUMBER:
 				if (listed("VXTION_NOSERIAL", number_)) return ONI_STATUS_ERROR;
-				return giveText(data, size, "VX000000" + std::to_string(1000 + number_));
+				return giveText(data, size, serial());
 			case ONI_DEVICE_PROPERTY_IMAGE_REGISTRATION:
 				if (!has(kDepth)) return ONI_STATUS_BAD_PARAMETER;
 				return give(data, size, registered_ ? ONI_IMAGE_REGISTRATION_DEPTH_TO_COLOR : ONI_IMAGE_REGISTRATION_OFF);
@@ -121,6 +130,12 @@ private:
 		std::memcpy(data, value.c_str(), value.size() + 1);
 		*size = static_cast<int>(value.size()) + 1;
 		return ONI_STATUS_OK;
+	}
+
+	std::string serial() const {
+		const auto& named = world().serials;
+		const auto n = static_cast<size_t>(number_);
+		return n < named.size() ? named[n] : "VX000000" + std::to_string(1000 + number_);
 	}
 
 	bool hasEmitter(int id) const { return id == kEmitterState && !listed("VXTION_NOEMITTER", number_); }
@@ -220,6 +235,8 @@ public:
 	                     oni::driver::DeviceStateChangedCallback changed, void* cookie) override {
 		DriverBase::initialize(connected, disconnected, changed, cookie);
 		world().startedUs = static_cast<double>(monotonicNs()) * 1e-3;
+		std::lock_guard<std::mutex> lock(mutex_);
+		instance_ = this;
 		for (int i = 0; i < world().devices; ++i)
 			if (world().faults[i].plugged) connect(i);
 		running_ = true;
@@ -234,10 +251,19 @@ public:
 			getServices().errorLoggerAppend("Could not open \"%s\": USB interface was not found!", uri);
 			return nullptr;
 		}
-		return new Device(number);
+		auto* device = new Device(number);
+		std::lock_guard<std::mutex> lock(mutex_);
+		open_.push_back(device);
+		return device;
 	}
 
-	void deviceClose(oni::driver::DeviceBase* device) override { delete device; }
+	void deviceClose(oni::driver::DeviceBase* device) override {
+		{
+			std::lock_guard<std::mutex> lock(mutex_);
+			open_.remove(static_cast<Device*>(device));
+		}
+		delete device;
+	}
 	OniStatus tryDevice(const char*) override { return ONI_STATUS_ERROR; }
 
 	void* enableFrameSync(oni::driver::StreamBase** streams, int count) override {
@@ -247,8 +273,31 @@ public:
 	void disableFrameSync(void*) override {}
 
 	void shutdown() override {
+		{
+			std::lock_guard<std::mutex> lock(mutex_);
+			instance_ = nullptr;
+		}
 		running_ = false;
 		if (thread_.joinable()) thread_.join();
+	}
+
+	// What the program that loaded the driver does by hand; without a running driver only the state of the world changes.
+	static void plug(int number, bool plugged) {
+		Driver* driver = nullptr;
+		{
+			std::lock_guard<std::mutex> lock(mutex_);
+			driver = instance_;
+		}
+		if (world().faults[number].plugged.exchange(plugged) == plugged || driver == nullptr) return;
+		const OniDeviceInfo info = describe(number);
+		plugged ? driver->deviceConnected(&info) : driver->deviceDisconnected(&info);
+	}
+
+	static void send(int number, Kind kind, const void* pixels, int width, int height, uint64_t timestampUs) {
+		std::lock_guard<std::mutex> lock(mutex_);
+		if (!world().faults[number].plugged) return;
+		for (Device* device : open_)
+			if (device->is(number)) device->send(kind, pixels, width, height, timestampUs);
 	}
 
 private:
@@ -294,10 +343,8 @@ private:
 		if (number < 0 || number >= world().devices) return;
 		auto& faults = world().faults[number];
 		const OniDeviceInfo info = describe(number);
-		if (command == "unplug" && faults.plugged.exchange(false)) {
-			deviceDisconnected(&info);
-		} else if (command == "plug" && !faults.plugged.exchange(true)) {
-			deviceConnected(&info);
+		if (command == "unplug" || command == "plug") {
+			plug(number, command == "plug");
 		} else if (command == "state" && words >> count) {
 			deviceStateChanged(&info, count);
 		} else if (words >> which) {
@@ -310,11 +357,33 @@ private:
 		}
 	}
 
+	static inline std::mutex mutex_;  // of the next two
+	static inline Driver* instance_ = nullptr;
+	static inline std::list<Device*> open_;
 	ControlFile control_;
 	std::atomic<bool> running_{false};
 	std::thread thread_;
 };
 
 }  // namespace vxtion
+
+// With VXTION_BY_HAND the program that loads the runtime loads this library too, and plays the cameras.
+extern "C" {
+void vxtion_plug(int device, int plugged) { vxtion::Driver::plug(device, plugged != 0); }
+
+void vxtion_lock_exposure(int device) {
+	vxtion::world().autoExposure[device] = false;
+	vxtion::world().autoWhite[device] = false;
+}
+
+// Bit 0: exposure, bit 1: white balance.
+int vxtion_automatic(int device) {
+	return (vxtion::world().autoExposure[device] ? 1 : 0) | (vxtion::world().autoWhite[device] ? 2 : 0);
+}
+
+void vxtion_send(int device, int kind, const void* pixels, int width, int height, uint64_t timestampUs) {
+	vxtion::Driver::send(device, static_cast<vxtion::Kind>(kind), pixels, width, height, timestampUs);
+}
+}
 
 ONI_EXPORT_DRIVER(vxtion::Driver)
