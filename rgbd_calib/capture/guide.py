@@ -133,10 +133,16 @@ class Guide:
             self._frame_sets += 1
         self.known(frame, corners, sizes)
 
+    def written(self, n: int) -> None:
+        """So many frame sets are in the recording by now, of those that nobody looked at."""
+        with self._lock:
+            self._frame_sets = n
+        self._tell()
+
     def known(self, frame: str, corners: Mapping[str, Corners], sizes: Mapping[str, tuple[int, int]]) -> None:
         """The board's place in a frame set that is in the recording."""
         board = self._board
-        if board is not None:
+        if board is not None and corners:
             placed = [place_view(v, board, sizes[v.camera], None, self._params) for v in board_views(frame, corners)]
             with self._lock:
                 self._placed += placed

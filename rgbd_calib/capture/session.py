@@ -25,15 +25,16 @@ from rgbd_calib.capture.shots import DepthParams, Photographer
 from rgbd_calib.capture.signals import stopping_on_signals
 from rgbd_calib.capture.studio import Stopped, Studio, Tally
 from rgbd_calib.capture.terminal import LiveGuidance, PlainGuidance, guidance
-from rgbd_calib.capture.wave import record_wave
+from rgbd_calib.capture.wave import PENDING_PAIRS, record_wave
 from rgbd_calib.errors import CalibrationError, ConfigError, RgbdCalibError
 from rgbd_calib.io.capture_log import CaptureLog, Status
 from rgbd_calib.io.growing_recording import GrowingRecording
 from rgbd_calib.io.recording import open_recording
 from rgbd_calib.sensors.discover import find_cameras
 from rgbd_calib.sensors.driver import Drivers, load_drivers
+from rgbd_calib.sensors.reader import KEEP_EVERY_PAIR, KEEP_PAIRS
 from rgbd_calib.sensors.rig import SensorRig
-from rgbd_calib.sensors.writer import FrameSetWriter
+from rgbd_calib.sensors.writer import MAX_PENDING, FrameSetWriter
 from rgbd_calib.types import Board
 from rgbd_calib.views.coverage import CoverageParams
 
@@ -150,6 +151,7 @@ class _Session:
             settle_s=params.settle_s,
             lock_exposure=not params.auto_exposure,
             keep_depth=max(2, params.depth.frames + 4),
+            keep_pairs=KEEP_EVERY_PAIR if params.kind == "wave" else KEEP_PAIRS,
             allow_unregistered=params.allow_unregistered,
             sync_leader=params.sync_leader,
         )
@@ -193,7 +195,8 @@ class _Session:
         with ExitStack() as stack:
             board = self._recording.board
             finder = stack.enter_context(BoardFinder(board)) if board else None
-            writer = stack.enter_context(FrameSetWriter(self._recording))
+            pending = PENDING_PAIRS * len(rig.cameras) if params.kind == "wave" else MAX_PENDING
+            writer = stack.enter_context(FrameSetWriter(self._recording, pending))
             if finder and params.append:
                 self._remember_earlier(finder)
             if self._display is not None:
@@ -258,6 +261,7 @@ class _Session:
             "incomplete_frame_sets": self._tally.incomplete,
             "absent": self._tally.absent,
             "dropped_because_moved": self._tally.moved,
+            "not_written": self._tally.not_written,
             "spread_ms": {"median": float(np.median(spreads_ms)), "max": float(np.max(spreads_ms))},
             "cameras": {camera: asdict(counts) for camera, counts in rig.counts().items()},
         }

@@ -33,6 +33,8 @@ class Tally:
     absent: dict[str, int] = field(default_factory=dict)
     """{camera: recorded frame sets without it}."""
     spreads_ms: list[float] = field(default_factory=list)
+    not_written: dict[str, list[dict[str, int]]] = field(default_factory=dict)
+    """{camera: frames that came and were dropped as writing was slower: how many, and colour stamps of the frames around them}."""
 
 
 class Stopped(Exception):
@@ -114,10 +116,8 @@ class Studio:
         self, frame_set: FrameSet, images: Mapping[str, CameraImages], corners: Mapping[str, Corners] | None
     ) -> str:
         """Queue images that were made of a frame set, and count them."""
-        frame = self.writer.submit(images, round(frame_set.spread_s * 1e6))
+        frame = self.queue(frame_set, images)
         self._tell_slow_disk()
-        self.tally.recorded += 1
-        self.tally.spreads_ms.append(frame_set.spread_s * 1e3)
         if frame_set.absent:
             self.tally.incomplete += 1
             for camera in frame_set.absent:
@@ -128,6 +128,13 @@ class Studio:
             corners = look.corners
         sizes = {c: f.color.pixels.shape[1::-1] for c, f in frame_set.frames.items()}
         self.guide.recorded(frame, corners, sizes)
+        return frame
+
+    def queue(self, frame_set: FrameSet, images: Mapping[str, CameraImages]) -> str:
+        """Queue images for the disk."""
+        frame = self.writer.submit(images, round(frame_set.spread_s * 1e6))
+        self.tally.recorded += 1
+        self.tally.spreads_ms.append(frame_set.spread_s * 1e3)
         return frame
 
     def _tell_slow_disk(self) -> None:

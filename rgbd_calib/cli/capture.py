@@ -255,6 +255,11 @@ def _summarize(out: Path, result: CaptureResult) -> None:
             say(
                 f"{camera}: {lost['color']} colour and {lost['depth']} depth frames never came; the shots do without them"
             )
+    for camera, gaps in tally.not_written.items():
+        n = sum(gap["frames"] for gap in gaps)
+        say(
+            f"Warning: {camera}: {n} frames dropped, writing was slower; {out / 'capture.yaml'} says between which stamps"
+        )
     if result.error is None or not result.error.reached:
         for sentence in result.missing:
             say(f"Still missing: {sentence}")

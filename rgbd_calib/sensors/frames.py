@@ -40,6 +40,8 @@ class RgbdFrame:
     color_s: float
     """Time of the colour exposure on the host's monotonic clock."""
     depth_s: float
+    number: int = 0
+    """Of the pairs that its reader made."""
 
 
 @dataclass(frozen=True)

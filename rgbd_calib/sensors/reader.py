@@ -20,6 +20,8 @@ _WAIT_S = 0.2
 _JOIN_S = 2.0
 KEEP_PAIRS = 8
 """Pairs kept for each device: enough to look back over two periods for the tightest frame set."""
+KEEP_EVERY_PAIR = 30
+"""Pairs kept where every one is wanted: a second of them, for as long as whoever takes them may be busy otherwise."""
 
 
 class FrameSource(Protocol):
@@ -47,13 +49,20 @@ class DeviceReader:
     `fresh` is notified at every pair; readers of one rig share it.
     """
 
-    def __init__(self, camera: str, device: FrameSource, fresh: threading.Condition, keep_depth: int = 1) -> None:
+    def __init__(
+        self,
+        camera: str,
+        device: FrameSource,
+        fresh: threading.Condition,
+        keep_depth: int = 1,
+        keep_pairs: int = KEEP_PAIRS,
+    ) -> None:
         self.camera = camera
         self._device = device
         self._fresh = fresh
         self._clock = DeviceClock()
         self._pairer = ColorDepthPairer()
-        self._pairs: deque[RgbdFrame] = deque(maxlen=KEEP_PAIRS)
+        self._pairs: deque[RgbdFrame] = deque(maxlen=keep_pairs)
         self._depths: deque[SensorFrame] = deque(maxlen=max(1, keep_depth))
         self._frames: dict[Kind, int] = {"color": 0, "depth": 0}
         self._n_pairs = 0
@@ -138,7 +147,7 @@ class DeviceReader:
             if pair is not None:
                 color, depth = pair
                 stamps = (self._clock.host_s(color.device_us), self._clock.host_s(depth.device_us))
-                self._pairs.append(RgbdFrame(self.camera, color, depth, *stamps))
+                self._pairs.append(RgbdFrame(self.camera, color, depth, *stamps, self._n_pairs))
                 self._n_pairs += 1
             self._fresh.notify_all()
 

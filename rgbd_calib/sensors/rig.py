@@ -14,7 +14,7 @@ from rgbd_calib.sensors.driver import Device, DeviceSettings, Driver
 from rgbd_calib.sensors.frame_sets import MAX_SPREAD_S, tightest_frame_set
 from rgbd_calib.sensors.frames import PERIOD_S, FrameSet, Kind
 from rgbd_calib.sensors.identity import Identity
-from rgbd_calib.sensors.reader import DeviceReader, ReaderCounts
+from rgbd_calib.sensors.reader import KEEP_PAIRS, DeviceReader, ReaderCounts
 
 Listener = Callable[[str, str], None]
 """Called with (camera or '', what happened)."""
@@ -69,6 +69,7 @@ class SensorRig:
         settle_s: float = 2.0,
         lock_exposure: bool = True,
         keep_depth: int = 1,
+        keep_pairs: int = KEEP_PAIRS,
         allow_unregistered: bool = False,
         sync_leader: str | None = None,
     ) -> None:
@@ -76,7 +77,7 @@ class SensorRig:
         self._listener = listener
         self._settle_s = settle_s
         self._lock_exposure = lock_exposure
-        self._keep_depth = keep_depth
+        self._keep = keep_depth, keep_pairs
         self._allow_unregistered = allow_unregistered
         self._sync_leader = sync_leader
         self._fresh = threading.Condition()
@@ -163,7 +164,7 @@ class SensorRig:
     def _seat(self, camera: str, identity: Identity) -> _Seat:
         device = self._runtime.open(identity.uri)
         settings = self._set_up(camera, device)
-        reader = DeviceReader(camera, device, self._fresh, self._keep_depth)
+        reader = DeviceReader(camera, device, self._fresh, *self._keep)
         device.start()
         reader.start()
         return _Seat(identity, device, settings, reader)
@@ -258,7 +259,7 @@ class SensorRig:
                 device.close()
                 return False
             settings = self._set_up(camera, device)
-            reader = DeviceReader(camera, device, self._fresh, self._keep_depth)
+            reader = DeviceReader(camera, device, self._fresh, *self._keep)
             device.start()
             reader.start()
         except CalibrationError as error:

@@ -15,11 +15,17 @@ MAX_PENDING = 6
 
 
 class FrameSetWriter:
-    """A bounded queue in front of a growing recording; use as a context manager, which waits for what is queued."""
+    """A bounded queue in front of a growing recording; use as a context manager, which waits for what is queued.
+
+    While more than a quarter of the queue is waiting, images are written without compression.
+    """
 
     def __init__(self, recording: GrowingRecording, max_pending: int = MAX_PENDING) -> None:
         self._recording = recording
         self._room = threading.BoundedSemaphore(max_pending)
+        self._relaxed = max_pending // 4
+        self._pending = 0
+        self._lock = threading.Lock()
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="writer")
         self._failure: RgbdCalibError | None = None
         self.waited_s = 0.0
@@ -50,6 +56,7 @@ class FrameSetWriter:
         try:
             self.check()
             frame = self._recording.reserve()
+            self._count(1)
             self._pool.submit(self._write, frame, images, spread_us)
         except BaseException:
             self._room.release()
@@ -67,13 +74,19 @@ class FrameSetWriter:
         if self._failure is not None:
             raise self._failure
 
+    def _count(self, more: int) -> int:
+        with self._lock:
+            self._pending += more
+            return self._pending
+
     def _write(self, frame: str, images: Mapping[str, CameraImages], spread_us: int | None) -> None:
         try:
             if self._failure is None:  # after a full disk, smaller sets that might still fit would leave holes
-                self._recording.add(frame, images, spread_us)
+                self._recording.add(frame, images, spread_us, compress=self._count(0) <= max(1, self._relaxed))
         except RgbdCalibError as error:
             self._failure = error
         except Exception as error:
             self._failure = RgbdCalibError(f"{frame}: could not be written ({type(error).__name__}: {error})")
         finally:
+            self._count(-1)
             self._room.release()

@@ -5,12 +5,9 @@ from __future__ import annotations
 import time
 from contextlib import closing
 
-import numpy as np
 import pytest
-import virtual_rig
 from small_recording import draw_recording
 from soft_azure import SoftAzure
-from soft_cameras import Player
 from soft_orbbec import SoftOrbbec
 
 from rgbd_calib.errors import CalibrationError, ConfigError
@@ -18,10 +15,7 @@ from rgbd_calib.io.recording import open_recording
 from rgbd_calib.sensors import k4a
 from rgbd_calib.sensors.discover import find_cameras
 from rgbd_calib.sensors.driver import Drivers, load_drivers
-from rgbd_calib.sensors.openni2 import load_runtime
-from rgbd_calib.sensors.reader import DeviceReader
 from rgbd_calib.sensors.realsense import RealSense
-from rgbd_calib.sensors.rig import SensorRig
 
 
 @pytest.fixture(scope="module")
@@ -120,37 +114,3 @@ def test_the_recorded_software_device_plays(rs, real_data):
         device.start()
         frames = read(device, 0.6)
     assert {f.kind for f in frames} == {"color", "depth"} and device.describe().intrinsics is not None
-
-
-@pytest.mark.slow
-def test_two_realsense_and_one_openni2_at_once_lose_nothing(rs, drawn, tmp_path, monkeypatch):
-    """For 20 s at 30 a second; every frame of the software devices is the one that was sent."""
-    redist = virtual_rig.build_redist(tmp_path / "redist")
-    virtual_rig.feed(open_recording(drawn), tmp_path / "raw")
-    (tmp_path / "control").touch()
-    for name, value in (("DEVICES", 1), ("DATA", tmp_path / "raw"), ("CONTROL", tmp_path / "control")):
-        monkeypatch.setenv(f"VXTION_{name}", str(value))
-    from soft_realsense import SoftRealSense
-
-    devices = [SoftRealSense("111"), SoftRealSense("222")]
-    wrong: list[tuple[str, int]] = []
-    take = DeviceReader._take
-
-    def check_and_take(self, frame):
-        if self.camera in realsense and not np.array_equal(frame.pixels, devices[0].pixels(frame.kind, frame.index)):
-            wrong.append((self.camera, frame.index))
-        take(self, frame)
-
-    monkeypatch.setattr(DeviceReader, "_take", check_and_take)
-    with closing(Drivers([load_runtime(redist), RealSense(rs, lambda: [d.handle for d in devices])])) as drivers:
-        cameras = find_cameras(drivers).assign({})
-        realsense = {c for c, identity in cameras.items() if identity.uri.startswith("realsense:")}
-        assert len(realsense) == 2 and len(cameras) == 3
-        with closing(Player(devices)), SensorRig(drivers, cameras, lambda *words: None, settle_s=1.0) as rig:
-            start_s = time.monotonic()
-            time.sleep(20.0)
-            seconds, counts = time.monotonic() - start_s, rig.counts()
-            assert rig.next_frame_set(time.monotonic(), 1.0).absent == ()
-    assert not wrong
-    for own in counts.values():
-        assert not any(own.lost.values()) and min(own.frames.values()) > 29.5 * seconds
