@@ -45,6 +45,8 @@ class ErrorCourse:
     """The error is stated where cameras saw the board together: False while that is little of the volume."""
     film: tuple[str, ...] = ()
     """What the last estimate asks to film, the weakest pair of cameras first."""
+    at_board: bool = False
+    """Without depth: what is measured between cameras at the board, across the line of sight."""
 
     @property
     def reached(self) -> bool:
@@ -61,7 +63,7 @@ class ErrorCourse:
     def history(self) -> str:
         """Such as `4.1 → 2.2 → 1.3 mm`; empty before the first estimate."""
         shown = " → ".join(_mm(value) for value in self.estimates_mm[-_SHOWN:])
-        return f"{shown} mm" if shown else ""
+        return f"{shown} mm{' at the board' if self.at_board else ''}" if shown else ""
 
     @property
     def text(self) -> str:
@@ -145,9 +147,16 @@ class ExpectedError:
         numbers = json.loads((self._folder / "numbers.json").read_text(encoding="utf-8"))
         if absent := sorted(self._cameras - set(numbers["cameras"])):
             return self._refused(f"{', '.join(absent)}: no image yet")
-        if numbers["expected"] is None:
-            return self._refused("two cameras with depth expected in one volume, fewer found: no error in mm is known")
-        mm = float(numbers["expected"]["mean_mm"])
+        expected, measured = numbers["expected"], numbers["measured"]
+        if expected is not None:
+            found_mm = expected["mean_mm"]
+        else:
+            found_mm = measured["all"].get("median_board_mm") if measured is not None else None
+        if found_mm is None:
+            return self._refused(
+                "two cameras that see the board together expected, fewer found: no error in mm is known"
+            )
+        mm = float(found_mm)
         untrusted = numbers["verdict"] == "untrusted"
         distrust = " ".join([numbers["headline"], *numbers["next_steps"][:1]]) if untrusted else ""
         self.course = replace(
@@ -157,6 +166,7 @@ class ExpectedError:
             distrust=distrust,
             shared_enough=coverage.shared_enough,
             film=tuple(numbers["film"]),
+            at_board=expected is None,
         )
         self._show(self.course)
         self._log(f"expected error {_mm(mm)} mm after {self._frame_sets} frame sets of this session")

@@ -71,6 +71,8 @@ class CaptureParams:
     """(host, port) of the web page."""
     until_mm: float | None = None
     """Expected error at which a recording of a rig ends; None: it is not estimated."""
+    color_only: bool = False
+    """Depth is left out."""
 
 
 @dataclass(frozen=True)
@@ -153,6 +155,7 @@ class _Session:
             keep_depth=max(2, params.depth.frames + 4),
             keep_pairs=KEEP_EVERY_PAIR if params.kind == "wave" else KEEP_PAIRS,
             allow_unregistered=params.allow_unregistered,
+            color_only=params.color_only,
             sync_leader=params.sync_leader,
         )
         status: Status = "complete"

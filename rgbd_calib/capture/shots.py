@@ -51,16 +51,16 @@ class Photographer:
 
     def images(self, frame_set: FrameSet) -> dict[str, CameraImages]:
         """The images to write for `frame_set`: takes the depth frames that its params ask for."""
-        depths = {c: [f.depth] for c, f in frame_set.frames.items()}
-        times_s = {c: f.depth_s for c, f in frame_set.frames.items()}
+        depths = {c: [f.depth] for c, f in frame_set.frames.items() if f.depth is not None}
+        times_s = {c: f.depth_s for c, f in frame_set.frames.items() if f.depth_s is not None}
         if self._params.alternate_emitters:
             depths = self._depths_in_turns(frame_set)
         elif self._params.frames > 1:
-            depths = {c: self._collect(c, f.depth_s) for c, f in frame_set.frames.items()}
+            depths = {c: self._collect(c, since_s) for c, since_s in times_s.items()}
         out = {}
         for camera, frame in frame_set.frames.items():
-            taken = depths[camera]
-            if not taken:  # it went silent just now; its colour is still good
+            taken = depths.get(camera, [])
+            if frame.depth is None or not taken:  # it has no depth, or went silent just now: its colour is still good
                 out[camera] = CameraImages(_bgr(frame.color.pixels), None, self._us(frame.color_s), None)
                 continue
             if taken[0] is not frame.depth:

@@ -83,6 +83,7 @@ SNAPSHOT_FRAMES = 30
     show_default=True,
     help="End after so many seconds without any frame.",
 )
+@click.option("--color-only", is_flag=True, help="Leave depth out. Cameras without a depth sensor need no option.")
 @click.option("--allow-unregistered", is_flag=True, help="Take cameras whose depth is not registered to colour.")
 def command(
     out: Path,
@@ -109,9 +110,10 @@ def command(
     preview: str | None,
     settle: float,
     give_up: float,
+    color_only: bool,
     allow_unregistered: bool,
 ) -> None:
-    """Record a rig of OpenNI2 (Xtion, Kinect) and RealSense cameras into the folder OUT.
+    """Record a rig of OpenNI2 (Xtion, Kinect), RealSense, Azure Kinect and Orbbec cameras into the folder OUT.
 
     One recording is enough: with --until-mm, shared views are asked for first (near, far, tilted), then the board close to each
     camera, and the expected error is shown as it falls.
@@ -138,6 +140,11 @@ def command(
     if wave is not None and ((depth_frames or 1) > 1 or alternate_emitters):
         raise ConfigError(
             "--wave: the board moves, so that --depth-frames and --alternate-emitters do not apply. Leave them out"
+        )
+    if color_only and (depth_bias or snapshot or depth_frames or alternate_emitters or allow_unregistered):
+        raise ConfigError(
+            "--color-only leaves depth out; it goes without --depth-bias, --snapshot, --depth-frames, --alternate-emitters and "
+            "--allow-unregistered. Leave them out"
         )
     if until_mm is not None and (intrinsic or depth_bias or snapshot or wave is not None or until_enough):
         raise ConfigError(
@@ -193,6 +200,7 @@ def command(
         give_up,
         _parse_address(preview),
         until_mm,
+        color_only,
     )
     result = capture(params, Console(stderr=True), _ask_distance)
     _summarize(out, result)
@@ -252,9 +260,9 @@ def _summarize(out: Path, result: CaptureResult) -> None:
         say(f"Warning: {camera}: missing in {n} of them; {out / 'capture.yaml'} says why")
     for camera, lost in result.lost.items():
         if any(lost.values()):
-            say(
-                f"{camera}: {lost['color']} colour and {lost['depth']} depth frames never came; the shots do without them"
-            )
+            words = {"color": "colour", "depth": "depth"}
+            said = " and ".join(f"{n} {words[kind]}" for kind, n in lost.items())
+            say(f"{camera}: {said} frames never came; the shots do without them")
     for camera, gaps in tally.not_written.items():
         n = sum(gap["frames"] for gap in gaps)
         say(

@@ -22,7 +22,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.calibrations.azure_ import read_device
 from rgbd_calib.io.dataset import CameraInfo, DepthGeometry
 from rgbd_calib.sensors import k4a
-from rgbd_calib.sensors.driver import Device, DeviceSettings, OpenedDevices, field_of_view_rad
+from rgbd_calib.sensors.driver import Device, DeviceSettings, OpenedDevices, field_of_view_rad, kinds_of
 from rgbd_calib.sensors.frames import Kind, SensorFrame
 from rgbd_calib.sensors.usb import UsbDevice, usb_devices, usb_place
 
@@ -106,7 +106,7 @@ class AzureKinects(OpenedDevices):
 
 
 class AzureKinect:
-    """One camera."""
+    """One camera; without depth the laser stays off, and no OpenGL is needed."""
 
     vendor, name = "Microsoft", "Azure Kinect"
 
@@ -133,12 +133,13 @@ class AzureKinect:
 
     @property
     def sizes(self) -> dict[Kind, tuple[int, int]]:
-        return {"color": COLOR_SIZE, "depth": DEPTH_SIZE}
+        sizes: dict[Kind, tuple[int, int]] = {"color": COLOR_SIZE, "depth": DEPTH_SIZE}
+        return {kind: sizes[kind] for kind in kinds_of(self._setup.depth_mode == k4a.DEPTH_OFF)}
 
     def modes(self) -> list[str]:
         return list(_MODES)
 
-    def configure(self, allow_unregistered: bool = False) -> DeviceSettings:
+    def configure(self, allow_unregistered: bool = False, color_only: bool = False) -> DeviceSettings:
         """1280x720 and 640x576 at 30 fps.
 
         Raises
@@ -159,7 +160,9 @@ class AzureKinect:
         self._geometry = DepthGeometry(*DEPTH_SIZE, own.intrinsics, None, own.T_color_depth)
         fov = field_of_view_rad(COLOR_SIZE, self._lens.vector[:2].tolist())
         color, depth = (mode.split(" ", 1)[1] for mode in _MODES)
-        return DeviceSettings.of(self, color, depth, fov, place=self._place)
+        if color_only:
+            self._setup.depth_mode = k4a.DEPTH_OFF
+        return DeviceSettings.of(self, color, None if color_only else depth, fov, place=self._place)
 
     def set_sync(self, place: int) -> bool:
         inward, outward = self._library.sync_jacks(self._handle)
@@ -170,6 +173,8 @@ class AzureKinect:
         return True
 
     def describe(self) -> CameraInfo:
+        if self._setup.depth_mode == k4a.DEPTH_OFF:
+            return CameraInfo(*COLOR_SIZE, serial=self.serial, intrinsics=self._lens)
         return CameraInfo(*COLOR_SIZE, 0.001, self.serial, self._lens, self._geometry, depth_stated=True)
 
     def start(self) -> None:

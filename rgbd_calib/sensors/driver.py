@@ -31,7 +31,8 @@ class DeviceSettings:
     usb_path: str | None
     usb_controller: str | None
     color_mode: str
-    depth_mode: str
+    depth_mode: str | None
+    """None: colour alone."""
     registered: bool
     mirrored: bool
     horizontal_fov_rad: float
@@ -42,7 +43,7 @@ class DeviceSettings:
         cls,
         device: Device,
         color_mode: str,
-        depth_mode: str,
+        depth_mode: str | None,
         fov_rad: tuple[float, float],
         *,
         place: UsbPlace | None = None,
@@ -72,8 +73,13 @@ def field_of_view_rad(size_px: tuple[int, int], focal_px: Sequence[float]) -> tu
     return across, down
 
 
+def kinds_of(color_only: bool) -> tuple[Kind, ...]:
+    """What a device delivers."""
+    return ("color",) if color_only else ("depth", "color")
+
+
 class Device(Protocol):
-    """An open device with one colour and one depth stream."""
+    """An open device with one colour and one depth stream, or colour alone."""
 
     uri: str
     """By which its driver opens it again."""
@@ -92,13 +98,14 @@ class Device(Protocol):
 
     @property
     def sizes(self) -> dict[Kind, tuple[int, int]]:
-        """Of a configured device: (width, height) of its frames, px."""
+        """Of a configured device: (width, height) of its frames, px; without depth where it gives colour alone."""
 
     def modes(self) -> list[str]:
         """Video modes of both streams, such as `color 640x480@30 RGB888`."""
 
-    def configure(self, allow_unregistered: bool = False) -> DeviceSettings:
-        """Choose modes and set them; CalibrationError where the device refuses what a calibration needs."""
+    def configure(self, allow_unregistered: bool = False, color_only: bool = False) -> DeviceSettings:
+        """Choose modes and set them; CalibrationError where the device refuses what a calibration needs. Colour alone where that
+        is asked for, or the device has no depth sensor."""
 
     def set_sync(self, place: int) -> bool:
         """Before the start: give the pulse of a cable that joins the cameras (place 0) or follow it; False where there is no
@@ -108,10 +115,10 @@ class Device(Protocol):
         """Of a device that delivers: sizes, unit of depth, and the geometry as far as the device states it."""
 
     def start(self) -> None:
-        """Start both streams, exposure and white balance automatic; CalibrationError where the device refuses."""
+        """Start the streams, exposure and white balance automatic; CalibrationError where the device refuses."""
 
     def wait_frame(self, timeout_s: float) -> SensorFrame | None:
-        """The next frame of either stream, copied; None where none comes in time. Called from one thread only."""
+        """The next frame of any stream, copied; None where none comes in time. Called from one thread only."""
 
     def lock_exposure(self) -> bool:
         """Freeze exposure and white balance as they are now; False where the camera does not take it."""

@@ -32,14 +32,15 @@ class SensorFrame:
 
 @dataclass(frozen=True)
 class RgbdFrame:
-    """Colour and depth of one exposure of one camera."""
+    """Colour and depth of one exposure of one camera, or colour alone."""
 
     camera: str
     color: SensorFrame
-    depth: SensorFrame
+    depth: SensorFrame | None
+    """None of a camera that gives colour alone."""
     color_s: float
     """Time of the colour exposure on the host's monotonic clock."""
-    depth_s: float
+    depth_s: float | None
     number: int = 0
     """Of the pairs that its reader made."""
 

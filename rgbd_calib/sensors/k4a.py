@@ -25,7 +25,7 @@ EXPOSURE, WHITE_BALANCE = 0, 6
 """k4a_color_control_command_t: us, K."""
 STANDALONE, MASTER, SUBORDINATE = 0, 1, 2
 """k4a_wired_sync_mode_t."""
-BGRA32, RES_720P, NFOV_UNBINNED, FPS_30 = 3, 1, 2, 2
+BGRA32, RES_720P, NFOV_UNBINNED, DEPTH_OFF, FPS_30 = 3, 1, 2, 0, 2
 """Of k4a_image_format_t, k4a_color_resolution_t, k4a_depth_mode_t, k4a_fps_t."""
 _AUTO, _MANUAL = 0, 1
 _TIMEOUT = 2

@@ -33,7 +33,7 @@ _CLOSE_PAUSE_S = 0.05  # between stopping and closing streams: the runtime's thr
 
 
 class OpenNi2Device:
-    """An open device with one colour and one depth stream."""
+    """An open device with one colour and one depth stream, or colour alone."""
 
     def __init__(self, binding: Any, handle: Any) -> None:
         self._binding = binding
@@ -61,7 +61,7 @@ class OpenNi2Device:
 
     @property
     def sizes(self) -> dict[Kind, tuple[int, int]]:
-        return {"color": (WIDTH, HEIGHT), "depth": (WIDTH, HEIGHT)}
+        return {kind: (WIDTH, HEIGHT) for kind in self._streams()}
 
     def modes(self) -> list[str]:
         """Video modes of both streams, such as `color 640x480@30 RGB888`."""
@@ -71,18 +71,20 @@ class OpenNi2Device:
             found += [f"{kind} {_mode_text(mode)}" for mode in (info.videoModes if info else [])]
         return found
 
-    def create_streams(self) -> None:
-        """Make both streams, the depth one first: registration needs it.
+    def create_streams(self, color_only: bool = False) -> None:
+        """Make both streams, the depth one first: registration needs it. A device without a depth sensor has one.
 
         Raises
         ------
         CalibrationError
-            The device lacks one of them.
+            The device has no colour sensor, or refuses.
         """
-        self._depth = self._stream("depth")
+        self._depth = None if color_only else self._stream("depth")
         self._color = self._stream("color")
+        if self._color is None:
+            raise CalibrationError(f"{self.label}: it has no colour sensor; a calibration needs it. Leave it out")
 
-    def configure(self, allow_unregistered: bool = False) -> DeviceSettings:
+    def configure(self, allow_unregistered: bool = False, color_only: bool = False) -> DeviceSettings:
         """VGA at 30 fps, depth registered to colour, mirroring off; set, read back and checked.
 
         Raises
@@ -91,27 +93,28 @@ class OpenNi2Device:
             The device refuses one of them, or says that it took it and did not.
         """
         b = self._binding
-        self.create_streams()
-        self._set(
-            "video mode",
-            lambda: self._depth.configure_mode(WIDTH, HEIGHT, FPS, b.PIXEL_FORMAT_DEPTH_1_MM),
-            f"depth {WIDTH}x{HEIGHT} at {FPS} fps in millimetres",
-        )
+        self.create_streams(color_only)
+        if self._depth is not None:
+            self._set(
+                "video mode",
+                lambda: self._depth.configure_mode(WIDTH, HEIGHT, FPS, b.PIXEL_FORMAT_DEPTH_1_MM),
+                f"depth {WIDTH}x{HEIGHT} at {FPS} fps in millimetres",
+            )
         self._set(
             "video mode",
             lambda: self._color.configure_mode(WIDTH, HEIGHT, FPS, b.PIXEL_FORMAT_RGB888),
             f"RGB888 colour {WIDTH}x{HEIGHT} at {FPS} fps",
         )
-        for stream in (self._depth, self._color):
+        for stream in self._streams().values():
             self._set("mirroring", lambda s=stream: s.set_mirroring_enabled(False), "pictures that are not mirrored")
-        self._registered = self._register(allow_unregistered)
+        self._registered = self._depth is not None and self._register(allow_unregistered)
         settings = self.settings(self._registered)
         if settings.mirrored:
             raise CalibrationError(
                 f"{self.label}: pictures stay mirrored after mirroring was switched off; a calibration needs them as seen. "
                 "Replug the device, or update its firmware"
             )
-        for kind, stream in (("color", self._color), ("depth", self._depth)):
+        for kind, stream in self._streams().items():
             mode = stream.video_mode
             if (mode.resolutionX, mode.resolutionY, mode.fps) != (WIDTH, HEIGHT, FPS):
                 raise CalibrationError(
@@ -125,6 +128,8 @@ class OpenNi2Device:
 
     def describe(self) -> CameraInfo:
         """Sizes and the unit of depth; it states no lens."""
+        if self._depth is None:
+            return CameraInfo(WIDTH, HEIGHT, serial=self.serial)
         own = None if self._registered else DepthGeometry(WIDTH, HEIGHT)
         return CameraInfo(WIDTH, HEIGHT, self.depth_unit_m(), self.serial, depth=own, depth_stated=True)
 
@@ -133,11 +138,11 @@ class OpenNi2Device:
         return DeviceSettings.of(
             self,
             _mode_text(self._color.video_mode),
-            _mode_text(self._depth.video_mode),
+            None if self._depth is None else _mode_text(self._depth.video_mode),
             (float(self._color.get_horizontal_fov()), float(self._color.get_vertical_fov())),
             place=self.place,
             registered=registered,
-            mirrored=self._color.mirroring_enabled or self._depth.mirroring_enabled,
+            mirrored=any(stream.mirroring_enabled for stream in self._streams().values()),
         )
 
     @property
@@ -146,19 +151,19 @@ class OpenNi2Device:
         return f"{self.uri} (serial {self.serial or 'unknown'})"
 
     def start(self) -> None:
-        """Start both streams, exposure and white balance automatic.
+        """Start the streams, exposure and white balance automatic.
 
         Raises
         ------
         CalibrationError
             The runtime refuses.
         """
-        for kind, stream in (("depth", self._depth), ("color", self._color)):
+        for kind, stream in self._streams().items():
             try:
                 stream.start()
             except self._binding.OpenNIError as error:
                 raise CalibrationError(
-                    f"{self.label}: the {kind} stream does not start ({reason(error)}). Both streams are needed: give the "
+                    f"{self.label}: the {kind} stream does not start ({reason(error)}). Give the "
                     "camera a USB 2.0 controller of its own (`lsusb -t`), and replug it"
                 ) from None
         self._running = True
@@ -173,7 +178,7 @@ class OpenNi2Device:
         return self._waiting.call(lambda: self._wait_frame(timeout_s))
 
     def _wait_frame(self, timeout_s: float) -> SensorFrame | None:
-        stream = self._binding.wait_for_any_stream([self._color, self._depth], timeout_s)
+        stream = self._binding.wait_for_any_stream(list(self._streams().values()), timeout_s)
         if stream is None:
             return None
         frame = stream.read_frame()
@@ -222,9 +227,9 @@ class OpenNi2Device:
         self._handle.playback.repeat = False
         self._handle.playback.speed = -1.0
 
-    def frame_count(self) -> dict[str, int]:
+    def frame_count(self) -> dict[Kind, int]:
         """Frames in a recorded file, by stream."""
-        return {"color": self._color.get_number_of_frames(), "depth": self._depth.get_number_of_frames()}
+        return {kind: stream.get_number_of_frames() for kind, stream in self._streams().items()}
 
     def is_mirrored(self) -> bool:
         """Of a recorded file: True where it says that its pictures are mirrored."""
@@ -234,7 +239,9 @@ class OpenNi2Device:
             return False
 
     def depth_unit_m(self) -> float:
-        """Metres for each unit of the depth stream."""
+        """Metres for each unit of the depth stream, if there is one."""
+        if self._depth is None:
+            return 1e-3
         tenths = int(self._depth.video_mode.pixelFormat) == int(self._binding.PIXEL_FORMAT_DEPTH_100_UM)
         return 1e-4 if tenths else 1e-3
 
@@ -245,7 +252,7 @@ class OpenNi2Device:
         if self._waiting is not None:
             self._waiting.give_back()
             self._waiting = None
-        streams = [s for s in (self._color, self._depth) if s is not None]
+        streams = self._streams().values()
         if self._running:
             for stream in streams:
                 stream.stop()
@@ -256,14 +263,18 @@ class OpenNi2Device:
         self._handle.close()
 
     def _stream(self, kind: str) -> Any:
+        """None where the device has no such sensor."""
         b = self._binding
         try:
             made = self._handle.create_depth_stream() if kind == "depth" else self._handle.create_color_stream()
         except b.OpenNIError as error:
             raise CalibrationError(f"{self.label}: no {kind} stream ({reason(error)}). Replug the device") from None
-        if made is None:
-            raise CalibrationError(f"{self.label}: it has no {kind} sensor; an RGB-D camera needs both. Leave it out")
         return made
+
+    def _streams(self) -> dict[Kind, Any]:
+        """Those that it has, depth first."""
+        made: dict[Kind, Any] = {"depth": self._depth, "color": self._color}
+        return {kind: stream for kind, stream in made.items() if stream is not None}
 
     def _register(self, allow_unregistered: bool) -> bool:
         wanted = self._binding.IMAGE_REGISTRATION_DEPTH_TO_COLOR
@@ -280,7 +291,7 @@ class OpenNi2Device:
             return False
         raise CalibrationError(
             f"{self.label}: depth is not registered to colour ({seen}); a calibration needs it registered. "
-            "Replug or replace the camera, or record its colour alone with --allow-unregistered"
+            "Replug or replace the camera, or record its colour alone with --color-only"
         )
 
     def _set(self, what: str, call: Any, needed: str) -> None:

@@ -24,7 +24,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.calibrations.common import rigid
 from rgbd_calib.io.calibrations.makers_lens import lens_of_maker
 from rgbd_calib.io.dataset import CameraInfo, DepthGeometry
-from rgbd_calib.sensors.driver import Device, DeviceSettings, OpenedDevices, field_of_view_rad
+from rgbd_calib.sensors.driver import Device, DeviceSettings, OpenedDevices, field_of_view_rad, kinds_of
 from rgbd_calib.sensors.frames import Kind, SensorFrame
 from rgbd_calib.sensors.orbbec_frames import FORMATS, color_of, values_of
 from rgbd_calib.sensors.usb import forbidden_node, usb_devices, usb_place
@@ -132,12 +132,12 @@ class OrbbecCamera:
 
     @property
     def sizes(self) -> dict[Kind, tuple[int, int]]:
-        return {"color": _size(self._profiles["color"]), "depth": _size(self._profiles["depth"])}
+        return {kind: _size(self._profiles[kind]) for kind in kinds_of("depth" not in self._profiles)}
 
     def modes(self) -> list[str]:
         return list(dict.fromkeys(_mode(kind, p) for kind in ("color", "depth") for p in self._offered(kind)))
 
-    def configure(self, allow_unregistered: bool = False) -> DeviceSettings:
+    def configure(self, allow_unregistered: bool = False, color_only: bool = False) -> DeviceSettings:
         """640x480 at 30 fps where there is such a mode, else the largest at 30 fps, of colour up to 1280x960.
 
         Raises
@@ -145,7 +145,7 @@ class OrbbecCamera:
         CalibrationError
             No colour or no depth stream at 30 fps, or pictures that stay mirrored.
         """
-        for kind in ("depth", "color"):
+        for kind in kinds_of(color_only or not self._offered("depth")):
             able = [p for p in self._offered(kind) if p.get_fps() == FPS]
             if not able:
                 raise CalibrationError(
@@ -153,7 +153,7 @@ class OrbbecCamera:
                     "port and cable"
                 )
             self._profiles[kind] = max(able, key=lambda p: _preference(kind, p))
-        size = _size(self._profiles["depth"])
+        size = self.sizes.get("depth")
         infrared = [p for p in self._offered("ir") if p.get_fps() == FPS and _size(p) == size]
         if infrared:
             self._profiles["ir"] = max(infrared, key=lambda p: _preference("ir", p))
@@ -164,8 +164,8 @@ class OrbbecCamera:
             )
         lens = self._profiles["color"].get_intrinsic()
         fov = field_of_view_rad((lens.width, lens.height), (lens.fx, lens.fy))
-        color, depth = (_mode(kind, self._profiles[kind]).split(" ", 1)[1] for kind in ("color", "depth"))
-        return DeviceSettings.of(self, color, depth, fov, place=self._place)
+        modes = {kind: _mode(kind, self._profiles[kind]).split(" ", 1)[1] for kind in self.sizes}
+        return DeviceSettings.of(self, modes["color"], modes.get("depth"), fov, place=self._place)
 
     def set_sync(self, place: int) -> bool:
         modes = self._binding.OBMultiDeviceSyncMode
@@ -185,6 +185,8 @@ class OrbbecCamera:
             return False
 
     def describe(self) -> CameraInfo:
+        if "depth" not in self._profiles:
+            return CameraInfo(*self.sizes["color"], serial=self.serial, intrinsics=self._lens("color"))
         if self._unit_mm is None:
             raise CalibrationError(
                 f"{self.label}: no depth frame came, so that its unit is not known. Replug the device"

@@ -1,4 +1,4 @@
-"""One thread for each device: reads both streams, pairs them, keeps the last frames, and notices silence."""
+"""One thread for each device: reads its streams, pairs them, keeps the last frames, and notices silence."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Protocol
 from rgbd_calib.errors import CalibrationError, RgbdCalibError
 from rgbd_calib.sensors.clock import DeviceClock
 from rgbd_calib.sensors.frames import Kind, RgbdFrame, SensorFrame
-from rgbd_calib.sensors.pairing import ColorDepthPairer
+from rgbd_calib.sensors.pairing import ColorAlone, ColorDepthPairer
 
 STALLED_AFTER_S = 1.0
 _JUMP_S = 2.0
@@ -61,14 +61,14 @@ class DeviceReader:
         self._device = device
         self._fresh = fresh
         self._clock = DeviceClock()
-        self._pairer = ColorDepthPairer()
+        self._pairer = ColorDepthPairer() if "depth" in device.sizes else ColorAlone()
         self._pairs: deque[RgbdFrame] = deque(maxlen=keep_pairs)
         self._depths: deque[SensorFrame] = deque(maxlen=max(1, keep_depth))
-        self._frames: dict[Kind, int] = {"color": 0, "depth": 0}
+        self._frames: dict[Kind, int] = dict.fromkeys(device.sizes, 0)
         self._n_pairs = 0
         self._last: dict[Kind, SensorFrame] = {}
         self._jumps = 0
-        self._last_s: dict[Kind, float] = {"color": time.monotonic(), "depth": time.monotonic()}
+        self._last_s: dict[Kind, float] = dict.fromkeys(device.sizes, time.monotonic())
         self._failure: str | None = None
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"reader {camera}", daemon=True)
@@ -146,8 +146,9 @@ class DeviceReader:
             pair = self._pairer.add(frame)
             if pair is not None:
                 color, depth = pair
-                stamps = (self._clock.host_s(color.device_us), self._clock.host_s(depth.device_us))
-                self._pairs.append(RgbdFrame(self.camera, color, depth, *stamps, self._n_pairs))
+                color_s = self._clock.host_s(color.device_us)
+                depth_s = None if depth is None else self._clock.host_s(depth.device_us)
+                self._pairs.append(RgbdFrame(self.camera, color, depth, color_s, depth_s, self._n_pairs))
                 self._n_pairs += 1
             self._fresh.notify_all()
 

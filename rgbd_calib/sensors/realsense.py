@@ -19,7 +19,7 @@ from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.io.calibrations.makers_lens import lens_of_maker
 from rgbd_calib.io.dataset import CameraInfo, DepthGeometry
-from rgbd_calib.sensors.driver import Device, DeviceSettings, OpenedDevices, field_of_view_rad
+from rgbd_calib.sensors.driver import Device, DeviceSettings, OpenedDevices, field_of_view_rad, kinds_of
 from rgbd_calib.sensors.frames import Kind, SensorFrame
 from rgbd_calib.sensors.usb import UsbPlace
 
@@ -99,7 +99,7 @@ class RealSense(OpenedDevices):
 
 
 class RealSenseDevice:
-    """One camera: its colour and its depth stream, each of a sensor of its own."""
+    """One camera: its colour and its depth stream, each of a sensor of its own, or its colour alone."""
 
     vendor = "Intel RealSense"
 
@@ -123,14 +123,14 @@ class RealSenseDevice:
 
     @property
     def sizes(self) -> dict[Kind, tuple[int, int]]:
-        color, depth = (self._profiles[kind].as_video_stream_profile() for kind in ("color", "depth"))
-        return {"color": (color.width(), color.height()), "depth": (depth.width(), depth.height())}
+        videos = {kind: profile.as_video_stream_profile() for kind, profile in self._profiles.items()}
+        return {kind: (video.width(), video.height()) for kind, video in videos.items()}
 
     def modes(self) -> list[str]:
         modes = (_mode(profile) for _, _, profile in self._streams())
         return list(dict.fromkeys(modes))
 
-    def configure(self, allow_unregistered: bool = False) -> DeviceSettings:
+    def configure(self, allow_unregistered: bool = False, color_only: bool = False) -> DeviceSettings:
         """640x480 at 30 fps where there is such a mode, else the largest at 30 fps.
 
         Raises
@@ -138,7 +138,7 @@ class RealSenseDevice:
         CalibrationError
             No colour or no depth stream at 30 fps.
         """
-        for kind in ("depth", "color"):
+        for kind in kinds_of(color_only or all(kind != "depth" for kind, _, _ in self._streams())):
             able = [(s, p) for k, s, p in self._streams() if k == kind and p.fps() == FPS]
             if not able:
                 raise CalibrationError(
@@ -148,12 +148,18 @@ class RealSenseDevice:
             self._sensors[kind], self._profiles[kind] = max(able, key=lambda one: _preference(one[1]))
         lens = self._profiles["color"].as_video_stream_profile().get_intrinsics()
         fov = field_of_view_rad((lens.width, lens.height), (lens.fx, lens.fy))
-        color, depth = (_mode(self._profiles[kind]).split(" ", 1)[1] for kind in ("color", "depth"))
+        modes = {kind: _mode(profile).split(" ", 1)[1] for kind, profile in self._profiles.items()}
         return DeviceSettings.of(
-            self, color, depth, fov, place=None if self._port is None else UsbPlace(self._port, None)
+            self,
+            modes["color"],
+            modes.get("depth"),
+            fov,
+            place=None if self._port is None else UsbPlace(self._port, None),
         )
 
     def set_sync(self, place: int) -> bool:
+        if "depth" not in self._sensors:  # its exposures are what the pulse starts
+            return False
         sensor, mode = self._sensors["depth"], self._binding.option.inter_cam_sync_mode
         wanted = _LEADS if place == 0 else _FOLLOWS
         try:
@@ -163,7 +169,11 @@ class RealSenseDevice:
             return False
 
     def describe(self) -> CameraInfo:
-        color, depth = (self._profiles[kind].as_video_stream_profile() for kind in ("color", "depth"))
+        color = self._profiles["color"].as_video_stream_profile()
+        if "depth" not in self._profiles:
+            lens = self._lens(color, "color")
+            return CameraInfo(color.width(), color.height(), serial=self.serial, intrinsics=lens)
+        depth = self._profiles["depth"].as_video_stream_profile()
         extrinsics = depth.get_extrinsics_to(color)
         R = np.array(extrinsics.rotation).reshape(3, 3).T  # librealsense writes columns
         T_color_depth = se3.make(R, np.array(extrinsics.translation))
@@ -255,9 +265,9 @@ class RealSenseDevice:
 
     def _by_sensor(self) -> list[tuple[Any, list[Any]]]:
         """A sensor may have both streams; it is opened once."""
-        if self._sensors["depth"] is self._sensors["color"]:
+        if self._sensors.get("depth") is self._sensors["color"]:
             return [(self._sensors["depth"], [self._profiles["depth"], self._profiles["color"]])]
-        return [(self._sensors[kind], [self._profiles[kind]]) for kind in ("depth", "color")]
+        return [(sensor, [self._profiles[kind]]) for kind, sensor in self._sensors.items()]
 
     def _streams(self) -> list[tuple[Kind, Any, Any]]:
         """All modes that can be used."""

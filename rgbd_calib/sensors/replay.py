@@ -20,7 +20,7 @@ FPS = round(1 / PERIOD_S)
 
 
 class Replay:
-    """The cameras of a recording; each plays the frames that it has in colour and depth."""
+    """The cameras of a recording; each plays the frames that all cameras have: in colour, and in depth where they have any."""
 
     def __init__(self, path: Path) -> None:
         self._recording = open_recording(path)
@@ -63,14 +63,10 @@ class ReplayedCamera:
     def __init__(self, recording: Recording, camera: str, start_s: float) -> None:
         info = recording.cameras[camera]
         self._recording, self._camera, self._info, self._start_s = recording, camera, info, start_s
-        self._frames = [f for f in recording.frames if all(recording.has_depth(c, f) for c in recording.cameras)]
-        if not self._frames:
-            raise CalibrationError(
-                f"{recording.path}: {camera}: a frame in which all cameras have colour and depth needed, none found. Play "
-                "another recording"
-            )
+        self._has_depth = bool(recording.depth_files[camera])
         self.uri, self.name = f"{_PREFIX}{camera}", f"replay of {camera}"
         self.serial: str | None = info.serial or camera
+        self._choose_frames()
         self._next = 0  # frame k is 2k (colour) and 2k + 1 (depth)
         self._open = True
 
@@ -84,24 +80,47 @@ class ReplayedCamera:
 
     @property
     def sizes(self) -> dict[Kind, tuple[int, int]]:
-        return {"color": (self._info.width, self._info.height), "depth": self._info.depth_size}
+        sizes: dict[Kind, tuple[int, int]] = {"color": (self._info.width, self._info.height)}
+        return sizes | ({"depth": self._info.depth_size} if self._has_depth else {})
 
     def modes(self) -> list[str]:
-        width, height = self._info.depth_size
-        return [f"color {self._info.width}x{self._info.height}@{FPS} RGB888", f"depth {width}x{height}@{FPS} Z16"]
+        forms = {"color": "RGB888", "depth": "Z16"}
+        return [f"{kind} {width}x{height}@{FPS} {forms[kind]}" for kind, (width, height) in self.sizes.items()]
 
-    def configure(self, allow_unregistered: bool = False) -> DeviceSettings:
-        color, depth = (mode.split(" ", 1)[1] for mode in self.modes())
+    def configure(self, allow_unregistered: bool = False, color_only: bool = False) -> DeviceSettings:
+        if color_only:
+            self._has_depth = False
+            self._choose_frames()
+        color, depth = (mode.split(" ", 1)[1] for mode in (*self.modes(), " ")[:2])
         lens = self._info.intrinsics
         size = (self._info.width, self._info.height)
         fov = field_of_view_rad(size, (0.0, 0.0) if lens is None else lens.vector[:2].tolist())
-        return DeviceSettings.of(self, color, depth, fov, registered=self._info.depth is None)
+        return DeviceSettings.of(
+            self, color, depth or None, fov, registered=self._has_depth and self._info.depth is None
+        )
+
+    def _choose_frames(self) -> None:
+        """Those that all cameras have."""
+        own = self._recording
+        with_depth = [c for c in own.cameras if own.depth_files[c]] if self._has_depth else []
+        self._frames = [
+            f
+            for f in own.frames
+            if all(f in own.color_files[c] for c in own.cameras) and all(own.has_depth(c, f) for c in with_depth)
+        ]
+        if not self._frames:
+            raise CalibrationError(
+                f"{own.path}: {self._camera}: a frame needed that all cameras have, none found. Play another recording"
+            )
 
     def set_sync(self, place: int) -> bool:
         return False
 
     def describe(self) -> CameraInfo:
-        return self._info
+        own = self._info
+        return (
+            own if self._has_depth else CameraInfo(own.width, own.height, serial=own.serial, intrinsics=own.intrinsics)
+        )
 
     def start(self) -> None:
         self._next = 2 * (int((time.monotonic() - self._start_s) / PERIOD_S) + 1)
@@ -117,7 +136,7 @@ class ReplayedCamera:
         if late > 1 and not is_depth:  # the computer is too slow: frames are lost, as a camera loses them
             self._next += 2 * late
             index += late
-        self._next += 1
+        self._next += 1 if self._has_depth else 2
         frame = self._frames[index % len(self._frames)]
         if is_depth:
             path = self._recording.depth_files[self._camera][frame]

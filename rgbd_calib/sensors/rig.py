@@ -71,6 +71,7 @@ class SensorRig:
         keep_depth: int = 1,
         keep_pairs: int = KEEP_PAIRS,
         allow_unregistered: bool = False,
+        color_only: bool = False,
         sync_leader: str | None = None,
     ) -> None:
         self._runtime = runtime
@@ -79,6 +80,7 @@ class SensorRig:
         self._lock_exposure = lock_exposure
         self._keep = keep_depth, keep_pairs
         self._allow_unregistered = allow_unregistered
+        self._color_only = color_only
         self._sync_leader = sync_leader
         self._fresh = threading.Condition()
         self._seats: dict[str, _Seat] = {}
@@ -170,7 +172,9 @@ class SensorRig:
         return _Seat(identity, device, settings, reader)
 
     def _set_up(self, camera: str, device: Device) -> DeviceSettings:
-        settings = device.configure(self._allow_unregistered)
+        settings = device.configure(self._allow_unregistered, self._color_only)
+        if "depth" not in device.sizes and not self._color_only:
+            self._listener(camera, "has no depth sensor; its colour alone is recorded")
         followers = [c for c in self._wanted if c != self._sync_leader]
         place = 0 if camera == self._sync_leader else 1 + followers.index(camera)
         if self._sync_leader is not None and not device.set_sync(place):
@@ -282,6 +286,6 @@ def _because(failure: str | None) -> str:
 
 def _sum_counts(counts: tuple[ReaderCounts, ...]) -> ReaderCounts:
     def total(name: str) -> dict[Kind, int]:
-        return {kind: sum(getattr(c, name)[kind] for c in counts) for kind in ("color", "depth")}
+        return {kind: sum(getattr(c, name)[kind] for c in counts) for kind in counts[-1].frames}
 
     return ReaderCounts(total("frames"), total("lost"), total("unpaired"), sum(c.pairs for c in counts))

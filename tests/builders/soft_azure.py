@@ -20,6 +20,7 @@ class SoftAzure(SoftCamera):
     sizes: ClassVar = {"color": (1280, 720), "depth": (640, 576)}
     unit_m = 0.001
     prefix = "azure:"
+    may_lack_depth = False
 
     def __init__(self, serial: str, cable: bool = False) -> None:
         super().__init__(serial)
@@ -42,6 +43,8 @@ class SoftAzure(SoftCamera):
         if self.setup is None:
             return
         color, depth = frames.get("color"), frames.get("depth")
+        if self.setup.depth_mode == k4a.DEPTH_OFF:
+            depth = None
         bgra = None if color is None else np.dstack([color[..., ::-1], np.full_like(color[..., 0], 255)])
         self.waiting.put(
             k4a.Capture(

@@ -37,11 +37,14 @@ class SoftCamera(ABC):
     """Of its uris."""
     states_geometry: ClassVar[bool] = True
     """It delivers depth as measured, and states lenses and extrinsics; else depth is registered to colour, and no lens stated."""
+    may_lack_depth: ClassVar[bool] = True
+    """There are cameras of the make without a depth sensor; `depth=False` makes one."""
     synchronises: ClassVar[bool] = True
     """The make has modes of synchronisation by cable."""
 
-    def __init__(self, serial: str) -> None:
+    def __init__(self, serial: str, depth: bool = True) -> None:
         self.serial = serial
+        self.has_depth = depth
         self.sent = 0
         self.device_us = 1_000_000
         """Of the last frames."""

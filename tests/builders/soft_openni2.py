@@ -27,10 +27,11 @@ class SoftOpenNi2(SoftCamera):
     states_geometry = False
     synchronises = False
 
-    def __init__(self, serial: str, cable: bool = False) -> None:
-        super().__init__(serial)
+    def __init__(self, serial: str, cable: bool = False, depth: bool = True) -> None:
+        super().__init__(serial, depth)
         self.number = SERIALS.index(serial)
         _library().vxtion_lock_exposure(self.number)
+        _library().vxtion_set_depth(self.number, depth)
 
     def is_at(self, uri: str) -> bool:
         return uri == f"{self.prefix}{self.number}"

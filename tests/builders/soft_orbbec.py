@@ -217,6 +217,8 @@ class Device:
         return DeviceInfo(self._camera)
 
     def get_sensor(self, arg0: OBSensorType) -> Sensor:
+        if arg0 not in self._camera.offered:
+            raise OBError("No matched sensor found")
         return Sensor(self._camera.offered[arg0])
 
     def is_property_supported(self, arg0: OBPropertyID, arg1: OBPermissionType) -> bool:
@@ -290,8 +292,8 @@ class SoftOrbbec(SoftCamera):
     unit_m = 0.00025
     prefix = "orbbec:"
 
-    def __init__(self, serial: str, fps: int = 30, cable: bool = False) -> None:
-        super().__init__(serial)
+    def __init__(self, serial: str, fps: int = 30, cable: bool = False, depth: bool = True) -> None:
+        super().__init__(serial, depth)
         self.cable, self.sync = cable, OBMultiDeviceSyncConfig()
         self.waiting: queue.SimpleQueue[FrameSet] = queue.SimpleQueue()
         self.enabled: list[VideoStreamProfile] = []
@@ -312,6 +314,8 @@ class SoftOrbbec(SoftCamera):
             ],
             OBSensorType.IR_SENSOR: [VideoStreamProfile((640, 576), fps, OBFormat.Y16)],
         }
+        if not depth:
+            del self.offered[OBSensorType.DEPTH_SENSOR], self.offered[OBSensorType.IR_SENSOR]
 
     @property
     def automatic(self) -> tuple[bool, bool]:
@@ -335,8 +339,12 @@ class SoftOrbbec(SoftCamera):
         form = {"color": OBFormat.RGB, "depth": OBFormat.Y16, "ir": OBFormat.Y16}
         if "depth" in frames:
             frames = {**frames, "ir": frames["depth"] // 8}
+        kinds = {OBFormat.Y16: ("depth", "ir")}
+        streamed = {kind for profile in self.enabled for kind in kinds.get(profile.get_format(), ("color",))}
         made = {
-            kind: DepthFrame(image, form[kind], device_us, number, 1000 * self.unit_m) for kind, image in frames.items()
+            kind: DepthFrame(image, form[kind], device_us, number, 1000 * self.unit_m)
+            for kind, image in frames.items()
+            if kind in streamed
         }
         self.waiting.put(FrameSet(made))
 

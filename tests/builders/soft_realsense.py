@@ -16,16 +16,23 @@ class SoftRealSense(SoftCamera):
     unit_m = 0.00025
     prefix = "realsense:"
 
-    def __init__(self, serial: str, fps: int = 30, cable: bool = False) -> None:
+    def __init__(self, serial: str, fps: int = 30, cable: bool = False, depth: bool = True) -> None:
         import pyrealsense2 as rs
 
-        super().__init__(serial)
+        super().__init__(serial, depth)
         self.rs, self.handle = rs, rs.software_device()
         self.handle.register_info(rs.camera_info.serial_number, serial)
         self.handle.register_info(rs.camera_info.name, "Software")
-        self.sensors = {"color": self.handle.add_sensor("RGB Camera"), "depth": self.handle.add_sensor("Stereo Module")}
+        names = {"color": "RGB Camera"} | ({"depth": "Stereo Module"} if depth else {})
+        self.sensors = {kind: self.handle.add_sensor(name) for kind, name in names.items()}
         self.fps = fps
-        self.profiles = {kind: self._profile(kind, self.sizes[kind]) for kind in self.sizes}
+        self.profiles = {kind: self._profile(kind, self.sizes[kind]) for kind in self.sensors}
+        self._option("color", rs.option.enable_auto_exposure, 1.0, 0.0)
+        self._option("color", rs.option.enable_auto_white_balance, 1.0, 0.0)
+        self._option("color", rs.option.exposure, 10000.0, 156.0)
+        self._option("color", rs.option.white_balance, 6500.0, 4600.0)
+        if not depth:
+            return
         pose = rs.extrinsics()
         pose.rotation = list(T_COLOR_DEPTH[:3, :3].T.ravel())  # columns
         pose.translation = list(T_COLOR_DEPTH[:3, 3])
@@ -33,10 +40,6 @@ class SoftRealSense(SoftCamera):
         self.sensors["depth"].add_read_only_option(rs.option.depth_units, self.unit_m)
         if cable:
             self._option("depth", rs.option.inter_cam_sync_mode, 2.0, 0.0)
-        self._option("color", rs.option.enable_auto_exposure, 1.0, 0.0)
-        self._option("color", rs.option.enable_auto_white_balance, 1.0, 0.0)
-        self._option("color", rs.option.exposure, 10000.0, 156.0)
-        self._option("color", rs.option.white_balance, 6500.0, 4600.0)
 
     @property
     def automatic(self) -> tuple[bool, bool]:
@@ -52,7 +55,8 @@ class SoftRealSense(SoftCamera):
         return {0.0: None, 1.0: 0, 2.0: 1}[mode]
 
     def deliver(self, frames: dict, device_us: int, number: int) -> None:
-        for kind, pixels in frames.items():
+        for kind in self.sensors.keys() & frames.keys():
+            pixels = frames[kind]
             size = pixels.shape[1::-1]
             profile = self.profiles[kind] if size == self.sizes[kind] else self._profile(kind, size)
             frame = self.rs.software_video_frame()

@@ -205,6 +205,19 @@ def test_unregistered_depth_only_when_asked_for(rig):
     assert "depth_registered: false" in (out / "dataset.yaml").read_text()
 
 
+def test_a_camera_without_depth_beside_one_that_has_it(rig, drawn):
+    rig.settings(nodepth=1)
+    out = rig.folder / "out"
+    ended = rig.run("capture", out, "--count", 2, *QUICK)
+    assert ended.status == 0, ended.stderr
+    assert "C2: has no depth sensor; its colour alone is recorded" in ended.stderr
+    recording, source = check_whole(out), open_recording(drawn)
+    assert recording.cameras["C1"].depth_stated and not recording.cameras["C2"].depth_stated
+    assert len(recording.depth_files["C1"]) == 2 and not recording.depth_files["C2"]
+    sent = {source.color("C2", frame).tobytes() for frame in source.frames}
+    assert all(recording.color("C2", frame).tobytes() in sent for frame in recording.frames)
+
+
 def test_unplugged_and_plugged_in_again(rig):
     out = rig.folder / "out"
     process = rig.start("capture", out, *QUICK)

@@ -59,9 +59,10 @@ class Ran:
 
 
 @pytest.fixture
-def results(monkeypatch) -> list[float | str]:
-    """What runs of calibrate give, one after the other, the last again and again: an expected error in mm, or why there is none."""
-    given: list[float | str] = []
+def results(monkeypatch) -> list[float | str | dict]:
+    """What runs of calibrate give, one after the other, the last again and again: an expected error in mm, or why there is none;
+    or what is measured of a rig without depth."""
+    given: list[float | str | dict] = []
 
     def start(self: ExpectedError) -> Ran:
         own = given.pop(0) if len(given) > 1 else given[0]
@@ -73,10 +74,11 @@ def results(monkeypatch) -> list[float | str]:
             "next_steps": ["Fix it."],
             "film": ["The weakest pair is C1 - C2.", "C1's k1: film the corners."],
             "expected": {"mean_mm": abs(own)} if isinstance(own, float) else None,
+            "measured": {"all": {"points": 0, **own}} if isinstance(own, dict) else None,
             "cameras": {"C1": {}, "C2": {}},
         }
         (self._folder / "numbers.json").write_text(json.dumps(numbers))
-        return Ran(0 if isinstance(own, float) else 1)
+        return Ran(1 if isinstance(own, str) else 0)
 
     monkeypatch.setattr(ExpectedError, "_start", start)
     return given
@@ -193,6 +195,14 @@ def test_a_refusal_is_a_warning_when_more_frame_sets_did_not_change_it(tmp_path,
     assert second == ("none yet: C1: depth is 1.21 times", [])
     assert third == ("none yet: C1: depth is 1.25 times", ["C1: depth is 1.25 times"])
     assert last == ("0.40 mm, until 0.5", third[1]) and told.expected.course.reached
+
+
+def test_without_depth_it_is_what_is_measured_at_the_board(tmp_path, results):
+    results += [{}, {"median_px": 0.2, "median_board_mm": 0.7}, {"median_px": 0.1, "median_board_mm": 0.4}]
+    first, second, third = courses(Told(tmp_path, 0.5), 3)
+    assert first.text.startswith("none yet: two cameras that see the board together expected")
+    assert second.text == "0.70 mm at the board, until 0.5" and not second.reached
+    assert third.text == "0.70 → 0.40 mm at the board, until 0.5" and third.reached
 
 
 def test_a_low_error_that_is_not_to_be_trusted_or_of_few_cameras_is_not_enough(tmp_path, results):

@@ -132,6 +132,37 @@ def test_a_rig_of_both(driver):
         assert set(both.describe()) == set(cameras)
 
 
+def test_colour_alone_where_that_is_asked_for(driver):
+    """Of cameras that have depth: nothing of it is delivered, stated or waited for."""
+    drivers, said = Drivers([driver]), []
+    cameras = find_cameras(drivers).assign({})
+    with SensorRig(drivers, cameras, lambda *words: said.append(words), settle_s=0.1, color_only=True) as both:
+        for _ in range(3):
+            frame_set = whole_set(both)
+            assert all(frame.depth is None and frame.depth_s is None for frame in frame_set.frames.values())
+            assert all(frame.color.pixels.dtype == np.uint8 for frame in frame_set.frames.values())
+        assert all(set(counts.frames) == {"color"} for counts in both.counts().values())
+        assert not any(info.depth_stated or info.depth for info in both.describe().values())
+        assert all(device.depth_mode is None for device, _ in both.settings().values())
+    assert not said
+
+
+def test_a_camera_without_a_depth_sensor(make):
+    """It is recorded beside one that has depth, and that is said."""
+    if not make.may_lack_depth:
+        with pytest.raises(TypeError, match="depth"):
+            make("111", depth=False)
+        return
+    cameras, said = [make("111"), make("222", depth=False)], []
+    with closing(Player(cameras)), rig_of(cameras, said) as both:
+        frame_set = whole_set(both)
+        assert frame_set.frames["C1"].depth is not None and frame_set.frames["C2"].depth is None
+        alone = both.describe()["C2"]
+        assert (alone.width, alone.height) == make.sizes["color"] and not alone.depth_stated
+        assert (alone.intrinsics is not None) == make.states_geometry
+    assert said == [("C2", "has no depth sensor; its colour alone is recorded")]
+
+
 def test_frames_come_as_they_were_sent(make):
     camera = make("111")
     device = opened(make, camera)

@@ -65,6 +65,26 @@ def test_capture_from_a_replayed_recording(run, drawn, tmp_path):
     assert all(info.depth is None and info.depth_scale == 0.001 for info in recording.cameras.values())
 
 
+def test_capture_of_colour_alone_and_its_calibration(run, drawn, tmp_path):
+    """By --color-only, and of a recording without depth played as cameras; the rig is judged by its pixels."""
+    out = tmp_path / "out"
+    quick = ("--count", "4", "--interval", "0.1", "--settle", "0.1", "--board", "9x6", "--square", "0.06")
+    ended = run("capture", out, "--driver", f"replay:{drawn}", "--color-only", *quick)
+    assert ended.status == 0 and "depth" not in ended.stderr, ended.stderr
+    played = run("capture", tmp_path / "again", "--driver", f"replay:{out}", *quick)
+    assert played.status == 0 and "C1: has no depth sensor; its colour alone is recorded" in played.stderr
+    for folder in (out, tmp_path / "again"):
+        recording = open_recording(folder)
+        assert not any(info.depth_stated or info.depth for info in recording.cameras.values())
+        assert not any(recording.depth_files.values()) and not list(folder.glob("*/depth"))
+        assert "depth:" not in (folder / "dataset.yaml").read_text()
+        assert all(color > 0 for color, _ in recording.timestamps_us("C1").values())
+    calibrated = run("calibrate", out, "-o", tmp_path / "rig.yaml", "--jobs", "1")
+    assert "depth is not used" in calibrated.stderr, calibrated.stderr
+    refused = run("capture", tmp_path / "other", "--color-only", "--depth-bias")
+    assert refused.status == 2 and "--color-only leaves depth out" in refused.stderr
+
+
 def test_devices_lists_those_of_the_drivers_asked_for(run, drawn, tmp_path):
     listed = run("devices", "--driver", f"replay:{drawn}")
     assert listed.status == 0 and "serial drawn-C2" in listed.stdout

@@ -57,7 +57,7 @@ inline std::vector<std::string> words(const std::string& list) {
 struct DeviceFaults {
 	std::array<std::atomic<bool>, 2> stalled{};
 	std::array<std::atomic<int>, 2> drop{};
-	std::atomic<bool> plugged{true};
+	std::atomic<bool> plugged{true}, hasDepth{true};
 };
 
 // The state of the world that all devices share.
@@ -87,6 +87,7 @@ struct World {
 		for (int i = 0; i < devices; ++i) {
 			if (listed("VXTION_SILENT", i)) faults[i].stalled[kColor] = faults[i].stalled[kDepth] = true;
 			if (listed("VXTION_UNPLUGGED", i)) faults[i].plugged = false;
+			if (listed("VXTION_NODEPTH", i)) faults[i].hasDepth = false;
 		}
 	}
 

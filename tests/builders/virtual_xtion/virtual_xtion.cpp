@@ -37,7 +37,7 @@ public:
 
 	OniStatus getSensorInfoList(OniSensorInfo** sensors, int* count) override {
 		*sensors = sensors_;
-		*count = 2;
+		*count = world().faults[number_].hasDepth ? 2 : 1;
 		return ONI_STATUS_OK;
 	}
 
@@ -375,6 +375,8 @@ void vxtion_lock_exposure(int device) {
 	vxtion::world().autoExposure[device] = false;
 	vxtion::world().autoWhite[device] = false;
 }
+
+void vxtion_set_depth(int device, int hasDepth) { vxtion::world().faults[device].hasDepth = hasDepth != 0; }
 
 // Bit 0: exposure, bit 1: white balance.
 int vxtion_automatic(int device) {
