@@ -107,11 +107,9 @@ def command(
     from rgbd_calib.pipeline.import_sources import OpenOptions, open_source
 
     patterns: dict[Any, str] = {k: text for k, text in (("color", color), ("depth", depth), ("ir", ir)) if text}
-    if patterns and color is None:
-        raise click.UsageError("--depth and --ir go with --color")
     named = [(name or f"C{i}", path) for i, (name, path) in enumerate(found, 1)]
     named_board = board()
-    opening = OpenOptions(parse_topics(topics), patterns, redist)
+    opening = OpenOptions(parse_topics(topics), patterns, redist, color_only)
     sources = [open_source(path, camera, opening) for camera, path in named]
     for remark in (remark for source in sources for remark in source.remarks):
         say(f"Warning: {remark}")

@@ -74,8 +74,6 @@ def command(
 
     named_board = board()
     given: dict[Any, str] = {k: text for k, text in (("color", color), ("depth", depth), ("ir", ir)) if text}
-    if given and color is None:
-        raise click.UsageError("--depth and --ir go with --color")
     found = look_at(folder, given, calibration)
     for line in sentences(found):
         say(line)
@@ -95,7 +93,7 @@ def command(
         told = describe(found, answers, load_config(None), progress)
     for remark in told.remarks:
         say(remark)
-    files = None if found.guess.standard else found.guess.patterns
+    files = None if found.guess.is_standard(folder) else found.guess.patterns
     text = dump_yaml(dataset_data(told.cameras, named_board, None, files))
     if dry_run:
         show(text.rstrip("\n"))

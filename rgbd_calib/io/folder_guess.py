@@ -17,7 +17,17 @@ from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.camera_names import CAMERA, FRAME, TOKENS, name_cameras
 from rgbd_calib.io.frame_names import NUMBER, order
 from rgbd_calib.io.images import DEPTH_SUFFIXES, SUFFIXES
-from rgbd_calib.io.layout import KINDS, FilePatterns, Kind, braced, describe_unused, walk
+from rgbd_calib.io.layout import (
+    KINDS,
+    FilePatterns,
+    Kind,
+    braced,
+    camera_names,
+    describe_unused,
+    find_files,
+    is_text,
+    walk,
+)
 from rgbd_calib.io.schema_base import check_name
 from rgbd_calib.io.sniff import Sniffed, sniff
 
@@ -93,13 +103,14 @@ class Guess:
     def cameras(self) -> tuple[str, ...]:
         return tuple(self.streams["color"])
 
-    @property
-    def standard(self) -> bool:
-        """Files lie as CAM/color/STEM.png and the like, so that patterns need not be stated."""
+    def is_standard(self, root: Path) -> bool:
+        """Without patterns, as CAM/color/STEM.png and the like, these files are found, and no others."""
+        found = find_files(root, self.cameras, None)
         return all(
-            stream.template.rpartition(".")[0] == f"{braced(camera)}/{kind}/{FRAME}"
-            for kind, of_kind in self.streams.items()
-            for camera, stream in of_kind.items()
+            {frame: path.relative_to(root).as_posix() for frame, path in own.items()}
+            == (dict(self.streams[kind][camera].files) if camera in self.streams[kind] else {})
+            for kind, of_kind in found.items()
+            for camera, own in of_kind.items()
         )
 
 
@@ -108,6 +119,7 @@ def guess_layout(
     given: Mapping[Kind, str] | None = None,
     more: tuple[str, ...] = (),
     look: Callable[[Path], Sniffed | None] | None = None,
+    color_only: bool = False,
 ) -> Guess:
     """Look at the names and headers of all images in a folder.
 
@@ -115,6 +127,8 @@ def guess_layout(
     ----------
     given
         Patterns that are known, by kind; the others are guessed. With `color` given, nothing is guessed.
+    color_only
+        Pictures of depth are left out, where they are otherwise refused.
     more
         Suffixes of images besides those that recordings read.
     look
@@ -131,7 +145,8 @@ def guess_layout(
     failed: ConfigError | None = None
     for mode in ("whole", "first", "last"):  # of names with two numbers for each frame
         try:
-            guess = _assign(root, *find_streams(root, mode, more, look or sniff))
+            streams, remarks = find_streams(root, mode, more, look or sniff)
+            guess = _assign(root, *_as_given(root, streams, remarks, given or {}), color_only)
         except ConfigError as error:
             failed = failed or error
             continue
@@ -259,7 +274,24 @@ def _replaced(path: str, pieces: Sequence[tuple[tuple[int, int], str]]) -> str:
     return out + braced(path[at:])
 
 
-def _assign(root: Path, streams: Sequence[Stream], remarks: Sequence[str]) -> Guess:
+def _as_given(
+    root: Path, streams: Sequence[Stream], remarks: Sequence[str], given: Mapping[Kind, str]
+) -> tuple[list[Stream], list[str]]:
+    """The streams, of a kind whose pattern is given those that fit it, and what was left out."""
+    kept, told = list(streams), list(remarks)
+    for kind, text in given.items():
+        names = camera_names(text, walk(root)) if CAMERA in text else ["C1"]
+        found = FilePatterns(text).find(root, names)["color"].values()
+        fits = {path.relative_to(root).as_posix() for own in found for path in own.values()}
+        if not fits:
+            raise ConfigError(f"{root}: no file is named as --{kind} {text}. Correct the pattern")
+        left = [s for s in kept if kind_of(s, True) == kind and not fits & set(s.files.values())]
+        kept = [s for s in kept if s not in left]
+        told += [f"{len(s.files)} files {s.template} are not used ({_looks(s)})" for s in left]
+    return kept, told
+
+
+def _assign(root: Path, streams: Sequence[Stream], remarks: Sequence[str], color_only: bool = False) -> Guess:
     """Which stream is which kind of which camera."""
     by_kind: dict[Kind, list[Stream]] = {kind: [] for kind in KINDS}
     left: list[Stream] = []
@@ -273,10 +305,11 @@ def _assign(root: Path, streams: Sequence[Stream], remarks: Sequence[str]) -> Gu
     if not by_kind["color"]:
         seen = "; ".join([f"{s.template} ({len(s.files)}, {_looks(s)})" for s in streams[:6]] + [*remarks[:3]])
         rest = [path for path in walk(root) if Path(path).suffix.lower() not in (*SUFFIXES, *DEPTH_SUFFIXES)]
-        seen = seen or describe_unused(rest) or "no images"
+        unread = describe_unused([path for path in rest if not is_text(path)] or ([] if seen else rest))
+        seen = "; ".join(filter(None, [seen, unread])) or "no images"
         remedy = _other_way(root, rest) or f"Name them: --color PATTERN, with {CAMERA} and {FRAME} in it"
         raise ConfigError(f"{root}: no colour images found; seen: {seen}. {remedy}")
-    if not by_kind["depth"] and (drawn := [s for s in left if s.is_depth and not s.is_other]):
+    if not color_only and not by_kind["depth"] and (drawn := [s for s in left if s.is_depth and not s.is_other]):
         raise ConfigError(
             f"{root}: depth of 16 bits or floating point expected, {drawn[0].template} of 8 bits a pixel seen: pictures of depth hold no "
             f"measurements. Record depth as 16-bit PNG; or calibrate colour alone: --color PATTERN, with {CAMERA} and {FRAME} in it"
@@ -331,8 +364,6 @@ def _looks(stream: Stream) -> str:
 
 def _given(root: Path, given: Mapping[Kind, str], look: Callable[[Path], Sniffed | None]) -> Guess:
     """Streams by patterns that the user gives; the cameras are what stands for {camera}."""
-    from rgbd_calib.io.layout import camera_names
-
     patterns = FilePatterns(given["color"], given.get("depth"), given.get("ir"))
     cameras = camera_names(given["color"], walk(root)) if CAMERA in given["color"] else ["C1"]
     try:

@@ -1,4 +1,4 @@
-"""Images of recordings: PNG, JPEG, TIFF, BMP, PNM and NPY, by content; the size is checked before anything is decoded."""
+"""Images of recordings: PNG, JPEG, TIFF, BMP, PNM, WebP and NPY, by content; the size is checked before anything is decoded."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _CONVERTED = {"P": "RGBA", "PA": "RGBA", "1": "RGB", "LA": "RGB", "CMYK": "RGB",
 """How Pillow's modes other than grey, R G B and R G B A are read; a palette may hold transparency."""
 _PNG, _JPEG, _NPY = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"\x93NUMPY"
 _TIFF, _BMP, _PNM = (b"II*\0", b"MM\0*"), b"BM", (b"P5", b"P6")
-SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm")
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp")
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".pgm")
 logging.getLogger("PIL").addHandler(logging.NullHandler())  # what it logs of a damaged file is raised, too
 BRIGHTEST = 99.5
@@ -105,16 +105,19 @@ def open_image(data: bytes):  # type: ignore[no-untyped-def]
     from PIL.PngImagePlugin import PngImageFile
     from PIL.PpmImagePlugin import PpmImageFile
     from PIL.TiffImagePlugin import TiffImageFile
+    from PIL.WebPImagePlugin import WebPImageFile
 
     if data.startswith(_PNG):
         return PngImageFile(io.BytesIO(data))
     if data.startswith(_JPEG):
         # Pillow reads EXIF data on opening, and warns of what is wrong in them
         return JpegImageFile(io.BytesIO(data.replace(b"Exif\x00\x00", b"none\x00\x00")))
+    if data.startswith(b"RIFF") and data[8:12] == b"WEBP":
+        return WebPImageFile(io.BytesIO(data))
     for start, kind in ((_TIFF, TiffImageFile), (_BMP, BmpImageFile), (_PNM, PpmImageFile)):
         if data.startswith(start):
             return kind(io.BytesIO(data))
-    raise ValueError(f"{len(data)} bytes that begin as none of PNG, JPEG, TIFF, BMP, PNM, NPY")
+    raise ValueError(f"{len(data)} bytes that begin as none of PNG, JPEG, TIFF, BMP, PNM, WebP, NPY")
 
 
 def _decode_npy(data: bytes, where: str, size: tuple[int, int] | None, who: str) -> np.ndarray:

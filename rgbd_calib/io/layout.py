@@ -91,6 +91,11 @@ def find_files(root: Path, cameras: Sequence[str], patterns: FilePatterns | None
     return {kind: {c: _images(root / c / kind, _SUFFIXES[kind]) for c in cameras} for kind in KINDS}
 
 
+def is_text(path: str) -> bool:
+    """A file that describes images, by its suffix."""
+    return Path(path).suffix.lower() in _TEXTS
+
+
 def find_unused(
     root: Path, cameras: Sequence[str], patterns: FilePatterns | None, files: Mapping[Kind, Files]
 ) -> tuple[str, ...]:
@@ -108,7 +113,7 @@ def find_unused(
     unused = []
     for relative in walk(root):
         inside = patterns is None and relative.partition("/")[0] in cameras and "/" in relative
-        text = Path(relative).suffix.lower() in _TEXTS or (patterns is None and "/" not in relative)
+        text = is_text(relative) or (patterns is None and "/" not in relative)
         if relative not in taken and (inside or not text):
             unused.append(relative)
     return tuple(unused)
@@ -116,7 +121,7 @@ def find_unused(
 
 def others(root: Path, taken: Collection[str]) -> str:
     """Files under a foreign folder that are neither taken nor texts, in words; empty where there are none."""
-    left = [path for path in walk(root) if path not in taken and Path(path).suffix.lower() not in _TEXTS]
+    left = [path for path in walk(root) if path not in taken and not is_text(path)]
     return f"{root}: not used: {describe_unused(left)}" if left else ""
 
 

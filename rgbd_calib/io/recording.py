@@ -254,12 +254,15 @@ def open_recording(path: Path) -> Recording:
                 f"{path}: camera {camera} of dataset.yaml has no images; {where} needed, {_seen(recording, camera)}. "
                 f"{_REMEDY}, or take the camera out of dataset.yaml"
             )
-    _check_depth(recording, data.depth_stated)
+    _check_depth(recording, data.depth_stated, data.files is not None and data.files.depth is None)
     return recording
 
 
-def _check_depth(recording: Recording, stated_for_all: bool) -> None:
-    """Raise ConfigError where depth is expected, since dataset.yaml or a folder speaks of it, and none can be read."""
+def _check_depth(recording: Recording, stated_for_all: bool, left_out: bool) -> None:
+    """Raise ConfigError where depth is expected, since dataset.yaml or a folder speaks of it, and none can be read.
+
+    `left_out`: dataset.yaml says where images are, and names no depth; a folder of depth is not expected to be read then.
+    """
     path = recording.path
     for camera, depth in recording.depth_files.items():
         color = recording.color_files[camera]
@@ -271,7 +274,7 @@ def _check_depth(recording: Recording, stated_for_all: bool) -> None:
         if depth:
             continue
         stated = recording.cameras[camera].depth_stated
-        expected = "dataset.yaml states its depth" if stated else _depth_folder(path / camera)
+        expected = "dataset.yaml states its depth" if stated else "" if left_out else _depth_folder(path / camera)
         if expected:
             raise ConfigError(
                 f"{path}: camera {camera}: {expected}, and no depth image can be read ({_seen(recording, camera)}). {_REMEDY}; if the "

@@ -36,6 +36,7 @@ class OpenOptions:
     """Of a folder of images, by kind; empty: found by name and content."""
     redist: Path | None = None
     """Folder of the OpenNI2 runtime."""
+    color_only: bool = False
 
 
 def open_source(path: Path, camera: str, options: OpenOptions) -> Source:
@@ -47,7 +48,7 @@ def open_source(path: Path, camera: str, options: OpenOptions) -> Source:
         No reader knows it, or it is damaged.
     """
     if path.is_dir() and options.patterns:
-        return PictureFolder(path, camera, options.patterns)
+        return PictureFolder(path, camera, options.patterns, options.color_only)
     if path.suffix.lower() == ".oni":
         return OniFile(path, camera, options.redist)
     if is_azure(path):
@@ -55,7 +56,7 @@ def open_source(path: Path, camera: str, options: OpenOptions) -> Source:
     if is_bag(path):
         return _open_bag(path, camera, options)
     if path.is_dir():
-        return _open_folder(path, camera)
+        return _open_folder(path, camera, options.color_only)
     if has_videos(path):
         return Videos(path, camera)
     if path.suffix.lower() in ARCHIVES:
@@ -79,7 +80,7 @@ def _open_bag(path: Path, camera: str, options: OpenOptions) -> Source:
     return RosBag(path)
 
 
-def _open_folder(path: Path, camera: str) -> Source:
+def _open_folder(path: Path, camera: str, color_only: bool) -> Source:
     if is_own(path):
         return OwnRecording(path)
     if is_tum(path):
@@ -94,4 +95,4 @@ def _open_folder(path: Path, camera: str) -> Source:
         return CaliscopeSession(path)
     if has_videos(path):
         return Videos(path, camera)
-    return PictureFolder(path, camera)
+    return PictureFolder(path, camera, color_only=color_only)

@@ -164,7 +164,7 @@ def test_files_that_nobody_reads_are_counted(folder):
     assert open_recording(folder).unused == () and open_recording(folder).remarks == ()
     (folder / "C1" / "masks").mkdir()
     (folder / "C1" / "masks" / "a.bin").write_bytes(b"")
-    (folder / "C1" / "color" / "000000.webp").write_bytes(b"")
+    (folder / "C1" / "color" / "000000.heic").write_bytes(b"")
     (folder / "C1" / "timestamps.csv").write_text("frame,color_us,depth_us\n")
     (folder / "C2" / "color" / "000001.png").unlink()  # its depth image is then of no frame
     save_color(folder, "C3", "000000", np.zeros((2, 2, 3), np.uint8))
@@ -172,12 +172,12 @@ def test_files_that_nobody_reads_are_counted(folder):
     (folder / "C1" / ".hidden").write_text("")
     recording = open_recording(folder)
     assert recording.unused == (
-        "C1/color/000000.webp",
+        "C1/color/000000.heic",
         "C1/masks/a.bin",
         "C2/depth/000001.png",
         "C3/color/000000.png",
     )
-    assert "4 files are not read: 1 .webp in C1/color (as 000000.webp)" in recording.remarks[0]
+    assert "4 files are not read: 1 .heic in C1/color (as 000000.heic)" in recording.remarks[0]
 
 
 def test_doctor_and_calibrate_name_what_is_not_read(run, tmp_path):

@@ -33,12 +33,16 @@ class PictureFolder(Source):
         The name of an only camera.
     patterns
         Where the files of a kind are, where their names do not tell.
+    color_only
+        Pictures of depth do not matter.
     """
 
-    def __init__(self, path: Path, camera: str, patterns: Mapping[Kind, str] | None = None) -> None:
+    def __init__(
+        self, path: Path, camera: str, patterns: Mapping[Kind, str] | None = None, color_only: bool = False
+    ) -> None:
         self.name = str(path)
         self._path = path
-        self._guess: Guess = guess_layout(path, patterns, SUFFIXES, sniff_picture)
+        self._guess: Guess = guess_layout(path, patterns, SUFFIXES, sniff_picture, color_only)
         own = self._guess.cameras
         self._names = {own[0]: camera} if len(own) == 1 else {name: name for name in own}
         remarks = list(self._guess.remarks)
