@@ -13,7 +13,11 @@ from rgbd_calib.io.reading import read_bytes
 from rgbd_calib.io.schema_base import MAX_SIDE
 from rgbd_calib.io.sniff import Sniffed, sniff
 
-KEPT = {"color": (".jpg", ".jpeg", ".png"), "depth": (".png", ".tif", ".tiff", ".npy"), "ir": (".png", ".tif", ".tiff")}
+KEPT = {
+    "color": (".jpg", ".jpeg", ".png", ".webp"),
+    "depth": (".png", ".tif", ".tiff", ".npy"),
+    "ir": (".png", ".tif", ".tiff"),
+}
 SUFFIXES = (".exr", ".npz")
 """Besides those that recordings read."""
 _DEPTH_CHANNELS = ("Z", "depth", "Y", "R", "V")
