@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import datetime, timezone
 from decimal import Decimal
 
 _DATE = (
     r"(?:19|20)\d\d[-_]?[01]\d[-_]?[0-3]\d[-_T ]?[0-2]\d[-_.]?[0-5]\d[-_.]?[0-5]\d(?:[-_.]\d{3}(?:\d{3}){0,2})?(?!\d)"
 )
-_EPOCH = r"1\d{9}[-_.]\d{6,9}(?!\d)"
+_EPOCH = r"1\d{9}(?:[-_]\d{6,9}|\.\d{1,9})(?!\d)"
 _DECIMAL = r"(?<![A-Za-z.])\d+\.\d{3,}(?!\d|\.\d)"
 NUMBER = re.compile(rf"(?<!\d)(?:{_DATE}|{_EPOCH}|{_DECIMAL})|\d+")
 """A number in a path. A date with its time, seconds with nanoseconds, and a decimal are one: 20240501_123000_123, 1305031102.175304."""
@@ -21,6 +21,12 @@ _EPOCH_UNITS_US = {13: Decimal(1000), 16: Decimal(1), 19: Decimal("0.001")}
 def order(name: str) -> tuple[list[str | int], str]:
     """By which names of frames are sorted: 2 before 10, as they were filmed."""
     return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)], name
+
+
+def spelled_anew(names: Iterable[str]) -> bool:
+    """Names that are whole numbers, one of them in two ways: 1 and 0001."""
+    spelled = set(names)
+    return all(map(str.isdecimal, spelled)) and len(set(map(int, spelled))) < len(spelled)
 
 
 def times_us(names: Sequence[str]) -> list[int] | None:

@@ -18,7 +18,7 @@ from rgbd_calib.io.calibrations import FoundCalibration, FoundCamera, read_calib
 from rgbd_calib.io.dataset import CameraInfo, DepthGeometry
 from rgbd_calib.io.depth_files import FARTHEST_M, NO_MEASUREMENT, read_depth_raw
 from rgbd_calib.io.folder_guess import Guess, Stream, guess_layout, names_coincide
-from rgbd_calib.io.frame_names import times_us
+from rgbd_calib.io.frame_names import spelled_anew, times_us
 from rgbd_calib.io.images import as_bgr, read_image
 from rgbd_calib.io.layout import Kind, describe_unused, walk
 from rgbd_calib.pipeline.config import Config
@@ -111,6 +111,12 @@ def check_frames(found: FolderContents) -> None:
     """
     folder, guess = found.folder, found.guess
     new = f"rgbd-calib import {shlex.quote(str(folder))} -o RECORDING"
+    streams = [s for of_kind in guess.streams.values() for s in of_kind.values()]
+    if spelled_anew(frame for s in streams for frame in s.files):
+        seen = "; ".join(f"{s.template}: {_names(s)}" for s in streams[:4])
+        raise ConfigError(
+            f"{folder}: one name for images of one instant expected, numbers written in several ways seen ({seen}). Join them: {new}"
+        )
     if not guess.streams["depth"]:
         unread = [p for p in walk(folder) if Path(p).suffix.lower() in _UNREAD_DEPTH and "depth" in p.lower()]
         if not unread:
@@ -132,7 +138,6 @@ def check_frames(found: FolderContents) -> None:
                 f"{_names(depth)} seen. Join them by {'time' if match == 'timestamp' else 'order'}: {new} --match {match}"
             )
 
-    streams = [s for of_kind in guess.streams.values() for s in of_kind.values()]
     if not names_coincide(guess) and times_us([frame for s in streams for frame in s.files]) is not None:
         seen = "; ".join(f"{name}: {_names(stream)}" for name, stream in list(guess.streams["color"].items())[:3])
         raise ConfigError(

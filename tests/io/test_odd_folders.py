@@ -80,3 +80,37 @@ def test_images_that_cannot_be_read_are_named(run, tmp_path):
     refused = run("init", folder, "--yes")
     assert refused.status == 2 and "no colour images found" in refused.stderr
     assert "3 .heic in Left/rgb (as 0.heic), 3 .heic in Right/rgb" in refused.stderr
+
+
+def test_numbers_written_in_two_ways_are_one_instant(run, tmp_path):
+    """One camera's script pads with zeros, the other's does not: nothing would be shared, and nobody would say so."""
+    folder = fill(
+        tmp_path / "in", ("{camera}/color/{frame}.png", COLOR), ("{camera}/depth/{frame}.png", DEPTH), frames=12
+    )
+    for path in sorted((folder / "Left").rglob("*.png")):
+        path.rename(path.with_name(f"{int(path.stem):04d}.png"))
+    refused = run("init", folder, "--yes", "--depth-scale", "0.001")
+    assert refused.status == 2 and "numbers written in several ways seen" in refused.stderr
+    assert f"rgbd-calib import {folder} -o RECORDING" in refused.stderr
+    imported = run("import", folder, "-o", tmp_path / "out", "--yes", "--depth-scale", "0.001")
+    assert imported.status == 0, imported.stderr
+    recording = open_recording(tmp_path / "out")
+    assert len(recording.frames) == 12
+    assert all(
+        f in recording.color_files[c] and recording.has_depth(c, f) for c in recording.cameras for f in recording.frames
+    )
+
+
+def test_seconds_with_as_many_digits_as_python_prints(run, tmp_path):
+    """`time.time()` in a name: 1732700000.5 beside 1732700001.0034."""
+    folder = tmp_path / "in"
+    for k, camera in enumerate(("Left", "Right")):
+        for kind, image in (("rgb", COLOR), ("depth", DEPTH)):
+            (folder / camera / kind).mkdir(parents=True)
+            for i in range(12):
+                stamp = round(1732700000 + 0.5 * i + 0.003 * k + 0.0014 * (kind == "depth"), 4)
+                assert cv2.imwrite(str(folder / camera / kind / f"{stamp}.png"), image)
+    imported = run("import", folder, "-o", tmp_path / "out", "--yes", "--depth-scale", "0.001", "--match", "timestamp")
+    assert imported.status == 0, imported.stderr
+    recording = open_recording(tmp_path / "out")
+    assert len(recording.frames) == 12 and recording.timestamps_us("Right")[recording.frames[1]] == (503_000, 504_400)

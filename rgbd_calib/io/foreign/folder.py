@@ -15,7 +15,7 @@ from rgbd_calib.io.calibrations import FoundCamera, read_calibration
 from rgbd_calib.io.folder_guess import Guess, guess_layout, names_coincide
 from rgbd_calib.io.foreign.pictures import SUFFIXES, read_picture, sniff_picture
 from rgbd_calib.io.foreign.source import Kind, Source, SourceCamera, SourceImage, Stamps, Stems, Wanted
-from rgbd_calib.io.frame_names import times_us
+from rgbd_calib.io.frame_names import spelled_anew, times_us
 from rgbd_calib.io.images import DEPTH_SUFFIXES as DEPTH_IMAGES
 from rgbd_calib.io.images import SUFFIXES as IMAGES
 from rgbd_calib.io.layout import others, walk
@@ -62,9 +62,18 @@ class PictureFolder(Source):
         self.remarks = (*(f"{path}: {remark}" for remark in remarks), *([left] if left else []))
 
     def stems(self) -> Mapping[str, Stems]:
+        """Numbers are padded to one length where streams spell them in several ways: 1 and 0001."""
         streams = self._guess.streams
+        every = [list(own.files) for of_kind in streams.values() for own in of_kind.values()]
+        names = [name for own in every for name in own]
+        unclear = not spelled_anew(names) or any(map(spelled_anew, every))
+        width = 0 if unclear else max(map(len, names))
         return {
-            name: {kind: list(of_kind[own].files) for kind, of_kind in streams.items() if own in of_kind}
+            name: {
+                kind: [frame.zfill(width) for frame in of_kind[own].files]
+                for kind, of_kind in streams.items()
+                if own in of_kind
+            }
             for own, name in self._names.items()
         }
 
