@@ -61,14 +61,15 @@ class DeviceReader:
         self._device = device
         self._fresh = fresh
         self._clock = DeviceClock()
+        kinds: list[Kind] = sorted(device.sizes)  # colour first, in messages too
         self._pairer = ColorDepthPairer() if "depth" in device.sizes else ColorAlone()
         self._pairs: deque[RgbdFrame] = deque(maxlen=keep_pairs)
         self._depths: deque[SensorFrame] = deque(maxlen=max(1, keep_depth))
-        self._frames: dict[Kind, int] = dict.fromkeys(device.sizes, 0)
+        self._frames: dict[Kind, int] = dict.fromkeys(kinds, 0)
         self._n_pairs = 0
         self._last: dict[Kind, SensorFrame] = {}
         self._jumps = 0
-        self._last_s: dict[Kind, float] = dict.fromkeys(device.sizes, time.monotonic())
+        self._last_s: dict[Kind, float] = dict.fromkeys(kinds, time.monotonic())
         self._failure: str | None = None
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"reader {camera}", daemon=True)
