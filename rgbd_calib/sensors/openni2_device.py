@@ -2,8 +2,8 @@
 
 Its traps, kept from everybody else: names are bytes; the serial number has no helper; registration can be set only
 after a depth stream exists; `read_frame` on a silent stream never returns, so a frame is always waited for first; a
-device that is closed before its streams crashes the process; once a thread has ended that waited for frames, the next thread
-that begins to wait crashes it too.
+device that is closed before its streams crashes the process; once a thread has ended that called the runtime, the next new
+one that calls crashes it too (see `lasting_threads`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from rgbd_calib.errors import CalibrationError
 from rgbd_calib.io.dataset import CameraInfo, DepthGeometry
 from rgbd_calib.sensors.driver import DeviceSettings
 from rgbd_calib.sensors.frames import Kind, SensorFrame
-from rgbd_calib.sensors.lasting_thread import LastingThread
 from rgbd_calib.sensors.usb import UsbPlace, usb_place
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
@@ -41,7 +40,6 @@ class OpenNi2Device:
         self._color: Any = None
         self._depth: Any = None
         self._running = False
-        self._waiting: LastingThread | None = None
         self._registered = True
         self.uri: str = handle.uri.decode()
         self.name: str = handle.device_info.name.decode()
@@ -173,11 +171,6 @@ class OpenNi2Device:
 
     def wait_frame(self, timeout_s: float) -> SensorFrame | None:
         """The next frame of either stream, copied; None where none comes in time. Call it from one thread only."""
-        if self._waiting is None:
-            self._waiting = LastingThread.take()
-        return self._waiting.call(lambda: self._wait_frame(timeout_s))
-
-    def _wait_frame(self, timeout_s: float) -> SensorFrame | None:
         stream = self._binding.wait_for_any_stream(list(self._streams().values()), timeout_s)
         if stream is None:
             return None
@@ -249,9 +242,6 @@ class OpenNi2Device:
         """Stop and close, streams before the device. No thread may be reading; calling it twice does nothing."""
         if not self._handle:
             return
-        if self._waiting is not None:
-            self._waiting.give_back()
-            self._waiting = None
         streams = self._streams().values()
         if self._running:
             for stream in streams:

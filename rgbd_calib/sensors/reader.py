@@ -5,12 +5,14 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from concurrent.futures import Future, wait
 from dataclasses import dataclass
 from typing import Protocol
 
 from rgbd_calib.errors import CalibrationError, RgbdCalibError
 from rgbd_calib.sensors.clock import DeviceClock
 from rgbd_calib.sensors.frames import Kind, RgbdFrame, SensorFrame
+from rgbd_calib.sensors.lasting_threads import run_lasting
 from rgbd_calib.sensors.pairing import ColorAlone, ColorDepthPairer
 
 STALLED_AFTER_S = 1.0
@@ -72,17 +74,15 @@ class DeviceReader:
         self._last_s: dict[Kind, float] = dict.fromkeys(kinds, time.monotonic())
         self._failure: str | None = None
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=f"reader {camera}", daemon=True)
+        self._running: Future[None] | None = None
 
     def start(self) -> None:
-        self._thread.start()
+        self._running = run_lasting(self._run)
 
     def stop(self) -> bool:
         """Ask the thread to end and wait for it; False where it hangs in the runtime."""
         self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join(_JOIN_S)
-        return not self._thread.is_alive()
+        return self._running is None or bool(wait([self._running], _JOIN_S).done)
 
     @property
     def failure(self) -> str | None:

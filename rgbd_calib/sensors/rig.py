@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, wait
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,6 +15,7 @@ from rgbd_calib.sensors.driver import Device, DeviceSettings, Driver
 from rgbd_calib.sensors.frame_sets import MAX_SPREAD_S, tightest_frame_set
 from rgbd_calib.sensors.frames import PERIOD_S, FrameSet, Kind
 from rgbd_calib.sensors.identity import Identity
+from rgbd_calib.sensors.lasting_threads import run_lasting
 from rgbd_calib.sensors.reader import KEEP_PAIRS, DeviceReader, ReaderCounts
 
 Listener = Callable[[str, str], None]
@@ -85,7 +87,7 @@ class SensorRig:
         self._fresh = threading.Condition()
         self._seats: dict[str, _Seat] = {}
         self._stop = threading.Event()
-        self._watch = threading.Thread(target=self._watch_over, name="watch", daemon=True)
+        self._watch: Future[None] | None = None
         self._camera_settings: dict[str, dict[str, Any]] = {}
         self._wanted = dict(cameras)
 
@@ -99,7 +101,7 @@ class SensorRig:
         except BaseException:
             self.close()
             raise
-        self._watch.start()
+        self._watch = run_lasting(self._watch_over)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -157,8 +159,8 @@ class SensorRig:
     def close(self) -> None:
         """Stop readers, then streams, then devices; where a reader hangs, leave everything as it is."""
         self._stop.set()
-        if self._watch.is_alive():
-            self._watch.join(3.0)
+        if self._watch is not None:
+            wait([self._watch], 3.0)
         if not all([seat.reader.stop() for seat in self._seats.values()]):
             self._runtime.abandon()
         self._runtime.close()
