@@ -22,13 +22,15 @@ import numpy as np
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.io.recording import CameraInfo, DepthGeometry, open_recording, write_dataset
 from rgbd_calib.io.schema_base import check_name
-from rgbd_calib.io.stored_png import stored_png
 from rgbd_calib.io.tables import short
 from rgbd_calib.types import Board
 
 TIMESTAMPS_HEADER = "frame,color_us,depth_us"
 DISTANCES_HEADER = "frame,distance_m"
 _ENCODERS = 2
+_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+_STORED = (cv2.IMWRITE_PNG_COMPRESSION, 0, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE)
+"""A fifteenth of the time, and a tenth more bytes."""
 FRAME_SETS_HEADER = "frame,time_us,spread_us,cameras"
 
 
@@ -117,7 +119,7 @@ class GrowingRecording:
     def add(
         self, frame: str, images: Mapping[str, CameraImages], spread_us: int | None = None, compress: bool = True
     ) -> None:
-        """Write one frame set whole, or not at all; without compression in a sixth of the time.
+        """Write one frame set whole, or not at all; without compression in a fraction of the time.
 
         Raises
         ------
@@ -296,10 +298,7 @@ def remove_leftovers(folder: Path, frame: str = "*") -> None:
 
 def _write_png(path: Path, image: np.ndarray, compress: bool) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    if compress:
-        path.write_bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
-    else:
-        path.write_bytes(stored_png(image))
+    path.write_bytes(cv2.imencode(".png", image, _FAST if compress else _STORED)[1].tobytes())
 
 
 def _occupied(folder: Path) -> bool:

@@ -193,7 +193,7 @@ def _changed(pair: PairVotes, views: Sequence[PosedView], board: Board, params: 
         n = int(places[np.argmax(votes)])
         if min(before[:n].mean(), after[n:].mean()) >= MOST_OF_SIDE:
             return Cause(
-                f"their relative pose is another one from frame {names[n]} on",
+                f"their relative pose changed at frame {names[n]}",
                 "One of them was moved or mounted anew, or its images turned: keep the frames before it or those from it on",
             )
     return None

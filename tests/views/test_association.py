@@ -229,9 +229,7 @@ def test_cameras_that_were_mounted_anew_are_named_with_the_frame(board):
     names = sorted(boards)
     late = true_views(after, {f: boards[f] for f in names[11:]}, board, CORNER_NOISE, rng)
     mixed = [*(v for v in views if v.frame < names[11]), *late]
-    with pytest.raises(
-        CalibrationError, match=rf"relative pose is another one from frame {names[11]} on.*mounted anew"
-    ):
+    with pytest.raises(CalibrationError, match=rf"relative pose changed at frame {names[11]}.*mounted anew"):
         associate(posed(mixed, before, board), board, "C1", list(before.cameras))
 
 
