@@ -67,7 +67,10 @@ def test_bop_scene_of_images_that_differ(run, tmp_path):
     tree["0"]["depth_scale"] = 1.0
     (folder / "scene_camera.json").write_text(json.dumps(tree))
     outcome = run("import", folder, "-o", tmp_path / "other")
-    assert outcome.status == 2 and "depth_scale [0.1, 1.0] seen, one for all images needed" in outcome.stderr
+    assert (
+        outcome.status == 2
+        and "depth_scale [0.1, 1.0] seen, one from 0.001 to 1000 for all images needed" in outcome.stderr
+    )
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tiff", ".npy", ".npz", ".exr"])

@@ -116,7 +116,15 @@ def findings_of(
 def _scale_left(
     eq: Equations, tests: Sequence[Outcome], told: Sequence[Outcome], params: SelfCheckParams
 ) -> list[Outcome]:
-    """The board's size, where it is off by itself, and errors that were told explain less than half of it."""
-    off = [t for t in tests if t.hypothesis.name == BoardScale.name and t.score.p < params.scale_significance]
-    untold = [t for t in off if all(own.hypothesis is not t.hypothesis for own in told)]
-    return [t for t in untold if abs(t.hypothesis.test(eq).estimate[0]) > MOST * abs(t.score.estimate[0])]
+    """The board's size, where it is off by itself, and errors that were told can be told from it, and explain less than half."""
+    out = []
+    for own in tests:
+        if own.hypothesis.name != BoardScale.name or own.score.p >= params.scale_significance:
+            continue
+        if any(t.hypothesis is own.hypothesis for t in told):
+            continue
+        beside, alone = own.hypothesis.test(eq), own.score
+        separable = np.trace(beside.covariance) < SEPARABLE**2 * np.trace(alone.covariance)
+        if separable and abs(beside.estimate[0]) > MOST * abs(alone.estimate[0]):
+            out.append(own)
+    return out
