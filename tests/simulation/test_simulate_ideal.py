@@ -40,7 +40,8 @@ def test_ideal_images_are_what_they_were(tmp_path):
     ):
         recording = open_recording(tmp_path / name)
         color, depth = recording.color("C1", frame), recording.depth_m("C1", frame)
-        # a few pixels may be rounded otherwise by another processor: 1 step in 57,600 values is 2e-5
-        np.testing.assert_allclose([color.mean(), color.std()], [grey, spread], atol=1e-3)
+        # another processor's rounding decides otherwise whether an edge crosses a pixel, and every later pixel then
+        # draws other light samples: over draws, mean and spread have standard deviations of 0.03 and 0.025
+        np.testing.assert_allclose([color.mean(), color.std()], [grey, spread], atol=0.12)
         np.testing.assert_allclose(np.nanmean(depth), depth_m, atol=1e-4)
         assert abs(int(np.isfinite(depth).sum()) - measured) < 5
