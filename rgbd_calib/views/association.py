@@ -90,12 +90,14 @@ def associate(
     Raises
     ------
     CalibrationError
-        Cameras that no chain of common views joins (names the groups and which pair to film), or a half turn that
-        nothing decides.
+        Cameras that no chain of common views joins (names the groups and which pair to film), a half turn that nothing
+        decides, or a pair whose relative pose changed.
     """
     params = params or AssociationParams()
     pairs = _explained(_vote(_by_frame(views), _motions(board), params), views, board, params)
-    pairs = [replace(p, cause=p.cause or _changed(p, views, board, params)) for p in pairs]
+    for pair in pairs:
+        if pair.cause is None and (change := _changed(pair, views, board, params)):
+            raise CalibrationError(_disagreement(replace(pair, cause=change)))
     _check_connected(cameras, pairs)
     T_world_color = _chain(reference, cameras, pairs)
     placed, dropped = label_views(views, board, T_world_color, params)
@@ -286,10 +288,7 @@ def _chain(reference: str, cameras: Sequence[str], pairs: Sequence[PairVotes]) -
         best = max(reach, key=lambda p: (p.votes - p.rival_votes, p.votes))
         a, b = best.cameras
         if best.cause:
-            raise CalibrationError(
-                f"{a} and {b}: only {best.votes} of {best.frames} common frames agree on the relative pose: {best.cause.text}. "
-                f"{best.cause.advice}"
-            )
+            raise CalibrationError(_disagreement(best))
         if best.votes <= best.rival_votes and best.votes < MIN_AGREEING * best.frames and best.frames > 2:
             raise CalibrationError(
                 f"{a} and {b}: {best.votes} of {best.frames} common frames agree on the relative pose, not more than agree by "
@@ -307,6 +306,14 @@ def _chain(reference: str, cameras: Sequence[str], pairs: Sequence[PairVotes]) -
         else:
             placed[a] = placed[b] @ se3.inverse(best.T_a_b)
     return {camera: placed[camera] for camera in cameras}
+
+
+def _disagreement(pair: PairVotes) -> str:
+    (a, b), cause = pair.cameras, pair.cause
+    assert cause is not None
+    return (
+        f"{a} and {b}: only {pair.votes} of {pair.frames} common frames agree on the relative pose: {cause.text}. {cause.advice}"
+    )
 
 
 def _choose(
