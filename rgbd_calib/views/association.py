@@ -311,9 +311,7 @@ def _chain(reference: str, cameras: Sequence[str], pairs: Sequence[PairVotes]) -
 def _disagreement(pair: PairVotes) -> str:
     (a, b), cause = pair.cameras, pair.cause
     assert cause is not None
-    return (
-        f"{a} and {b}: only {pair.votes} of {pair.frames} common frames agree on the relative pose: {cause.text}. {cause.advice}"
-    )
+    return f"{a} and {b}: only {pair.votes} of {pair.frames} common frames agree on the relative pose: {cause.text}. {cause.advice}"
 
 
 def _choose(

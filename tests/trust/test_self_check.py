@@ -29,6 +29,7 @@ from rgbd_calib.trust.self_check import (
     check_dropped,
     check_groups,
     check_noise,
+    check_steps,
     check_votes,
     delete,
     findings_of,
@@ -41,7 +42,7 @@ from rgbd_calib.trust.self_check.calibration import check_bundle, of_calibration
 from rgbd_calib.trust.self_check.equations import ViewRows
 from rgbd_calib.trust.self_check.of_solution import equations_of, held_blocks
 from rgbd_calib.trust.verdict import judge
-from rgbd_calib.types import DepthBias, Rig
+from rgbd_calib.types import DepthBias, PlacedView, Rig
 from rgbd_calib.views.association import AssociationResult
 
 PARAMS = SelfCheckParams()
@@ -360,6 +361,20 @@ def test_the_same_error_counts_by_the_distance_at_which_it_is(distance_m):
     assert limits.caution_mm == pytest.approx(0.5 * distance_m)
     assert limits.distrust_mm == pytest.approx(1.5 * distance_m)
     assert limits.max_sigma_px == SelfCheckParams().max_sigma_px  # pixels are pixels at any distance
+
+
+@pytest.mark.parametrize("motion", [None, [0.0, 0.0, 0.03, 0.0, 0.05, 0.0]], ids=["at rest", "mounted anew"])
+def test_a_step_of_the_relative_pose_is_named_with_its_frame(motion):
+    rng = np.random.default_rng(2)
+    frames = [f"{k:03d}" for k in range(20)]
+    placed = []
+    for k, frame in enumerate(frames):
+        T_c1_board = se3.retract(np.eye(4), np.array([*rng.normal(0, 0.3, 5), 2.0]))
+        moved = np.asarray(motion) if motion and k >= 12 else np.zeros(6)
+        for camera, T in (("C1", T_c1_board), ("C2", se3.retract(T_c1_board, moved + rng.normal(0, 3e-3, 6)))):
+            placed.append(PlacedView(view(frame, camera), False, False, T))
+    found = check_steps(placed, frames, PARAMS)
+    assert [f.text for f in found] == (["C1 and C2: their relative pose changed at frame 012"] if motion else [])
 
 
 def test_checks_without_equations():

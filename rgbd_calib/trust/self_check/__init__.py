@@ -15,6 +15,7 @@ from rgbd_calib.trust.self_check.checks import (
     check_factors,
     check_groups,
     check_noise,
+    check_steps,
     check_votes,
     group_ratios,
 )
@@ -46,6 +47,7 @@ __all__ = [
     "check_factors",
     "check_groups",
     "check_noise",
+    "check_steps",
     "check_votes",
     "delete",
     "findings_of",

@@ -23,6 +23,7 @@ from rgbd_calib.trust.self_check import (
     check_factors,
     check_groups,
     check_noise,
+    check_steps,
     check_votes,
     findings_of,
     held_out_findings,
@@ -116,7 +117,10 @@ def check_bundle(
     blind = [key for key in dropped if key in with_pixels]
     lost = [*association.dropped, *(key for key in dropped if key not in blind)]
     ratios = ratios_of_bundle(solved, eq, params)
+    of_noise = [f for f in check_noise(noise, params, stated_mm) if not (errors and f.effect_mm)]
+    noisy = any(f.check == "pixel noise" for f in of_noise)
     findings = [
+        *(check_steps(association.views, frames_in_time, params) if noisy and not carried else []),
         *_before(
             views,
             association,
@@ -130,7 +134,7 @@ def check_bundle(
         ),
         *errors,
         *of_folds,
-        *(f for f in check_noise(noise, params, stated_mm) if not (errors and f.effect_mm)),
+        *of_noise,
         *check_groups(ratios, params),
         *wrong_walls,
     ]

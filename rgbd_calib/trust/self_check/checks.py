@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, median_abs_deviation
 
+from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.trust.self_check.findings import Finding, Level, SelfCheckParams
-from rgbd_calib.types import BoardView, IntArray
+from rgbd_calib.types import BoardView, IntArray, PlacedView
 from rgbd_calib.views.association import Cause
 from rgbd_calib.views.depth_scale import clipped_share
 
@@ -89,6 +91,44 @@ def check_votes(
         text = f"Few common frames agree on the relative pose ({named}): {cause.text}"
         out.append(Finding("frames agree", "distrust", cameras, text, cause.advice))
     return out
+
+
+def check_steps(views: Sequence[PlacedView], frames_in_time: Sequence[str], params: SelfCheckParams) -> list[Finding]:
+    """Relative poses by single views that change at one frame, the clearest first.
+
+    A change that bends everything else to it, lenses and boards too, leaves no sound estimate by which to see it. So each frame
+    is asked alone. Medians before and after, against the median absolute deviation from them.
+    """
+    poses: dict[str, dict[str, FloatArray]] = {}
+    for v in views:
+        poses.setdefault(v.view.frame, {})[v.view.camera] = v.T_color_board
+    found: list[tuple[float, tuple[str, str], str]] = []
+    for a, b in combinations(sorted({v.view.camera for v in views}), 2):
+        common = [f for f in frames_in_time if {a, b} <= poses.get(f, {}).keys()]
+        if len(common) < 2 * params.min_side:
+            continue
+        relative = np.stack([poses[f][a] @ se3.inverse(poses[f][b]) for f in common])
+        x = se3.difference(relative, relative[0])
+        for n in range(params.min_side, len(common) - params.min_side + 1):
+            before, after = np.median(x[:n], axis=0), np.median(x[n:], axis=0)
+            sd = median_abs_deviation(np.concatenate([x[:n] - before, x[n:] - after]), scale="normal")
+            of_median = np.sqrt(np.pi / 2 * (1 / n + 1 / (len(common) - n)))
+            found.append((float(np.linalg.norm((after - before) / (sd * of_median))), (a, b), common[n]))
+    clearest = {pair: (size, frame) for size, pair, frame in sorted(found)}
+    named = sorted(
+        ((size, pair, frame) for pair, (size, frame) in clearest.items() if size > params.min_step_sd), reverse=True
+    )
+    advice = "A camera was moved or mounted anew, or its lens refocused: keep the frames before it or those from it on"
+    return [
+        Finding(
+            "pose over time",
+            "distrust",
+            pair,
+            f"{' and '.join(pair)}: their relative pose changed at frame {frame}",
+            advice,
+        )
+        for _, pair, frame in named
+    ]
 
 
 def check_dropped(

@@ -39,6 +39,9 @@ class SelfCheckParams:
     max_sigma_px: float = 0.5
     """Finders of corners leave 0.02 to 0.2 px; a scatter of half a pixel is blur, a lens beyond the model, or motion."""
     bad_sigma_px: float = 1.0
+    min_step_sd: float = 10.0
+    """Standard errors by which single views of two cameras put these elsewhere from one frame on, where corners scatter by more
+    than max_sigma_px: then something that the estimate holds constant was not, and this is it."""
     max_depth_k_per_m: float = 5e-3
     """sigma_z = k z^2 of the mean over a corner's cell. One pixel of a Kinect or Xtion has 1.6e-3, of the worst sensors
     of this kind 5e-3: a mean that is no better than the worst single pixel is not the sensor's noise."""
