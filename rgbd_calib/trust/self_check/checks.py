@@ -97,27 +97,26 @@ def check_steps(views: Sequence[PlacedView], frames_in_time: Sequence[str], para
     """Relative poses by single views that change at one frame, the clearest first.
 
     A change that bends everything else to it, lenses and boards too, leaves no sound estimate by which to see it. So each frame
-    is asked alone. Medians before and after, against the median absolute deviation from them.
+    is asked alone: the likeliest step of errors by Laplace, of a scale that each component has for itself; then the step
+    of the medians against the median absolute deviation from them.
     """
     poses: dict[str, dict[str, FloatArray]] = {}
     for v in views:
         poses.setdefault(v.view.frame, {})[v.view.camera] = v.T_color_board
     found: list[tuple[float, tuple[str, str], str]] = []
-    for a, b in combinations(sorted({v.view.camera for v in views}), 2):
-        common = [f for f in frames_in_time if {a, b} <= poses.get(f, {}).keys()]
+    for pair in combinations(sorted({v.view.camera for v in views}), 2):
+        common = [f for f in frames_in_time if set(pair) <= poses.get(f, {}).keys()]
         if len(common) < 2 * params.min_side:
             continue
-        relative = np.stack([poses[f][a] @ se3.inverse(poses[f][b]) for f in common])
+        relative = np.stack([poses[f][pair[0]] @ se3.inverse(poses[f][pair[1]]) for f in common])
         x = se3.difference(relative, relative[0])
-        for n in range(params.min_side, len(common) - params.min_side + 1):
-            before, after = np.median(x[:n], axis=0), np.median(x[n:], axis=0)
-            sd = median_abs_deviation(np.concatenate([x[:n] - before, x[n:] - after]), scale="normal")
-            of_median = np.sqrt(np.pi / 2 * (1 / n + 1 / (len(common) - n)))
-            found.append((float(np.linalg.norm((after - before) / (sd * of_median))), (a, b), common[n]))
-    clearest = {pair: (size, frame) for size, pair, frame in sorted(found)}
-    named = sorted(
-        ((size, pair, frame) for pair, (size, frame) in clearest.items() if size > params.min_step_sd), reverse=True
-    )
+        places = range(params.min_side, len(common) - params.min_side + 1)
+        n = min(places, key=lambda n: float(np.log(np.abs(_about_medians(x, n)).mean(axis=0)).sum()))
+        of_median = np.sqrt(np.pi / 2 * (1 / n + 1 / (len(common) - n)))
+        sd = median_abs_deviation(_about_medians(x, n), scale="normal") * of_median
+        size = float(np.linalg.norm((np.median(x[n:], axis=0) - np.median(x[:n], axis=0)) / sd))
+        if size > params.min_step_sd:
+            found.append((size, pair, common[n]))
     advice = "A camera was moved or mounted anew, or its lens refocused: keep the frames before it or those from it on"
     return [
         Finding(
@@ -127,8 +126,13 @@ def check_steps(views: Sequence[PlacedView], frames_in_time: Sequence[str], para
             f"{' and '.join(pair)}: their relative pose changed at frame {frame}",
             advice,
         )
-        for _, pair, frame in named
+        for _, pair, frame in sorted(found, reverse=True)
     ]
+
+
+def _about_medians(x: FloatArray, n: int) -> FloatArray:
+    """Rows (frames, k) less the median of the first n, or of the rest."""
+    return np.concatenate([x[:n] - np.median(x[:n], axis=0), x[n:] - np.median(x[n:], axis=0)])
 
 
 def check_dropped(
