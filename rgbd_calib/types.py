@@ -42,6 +42,8 @@ class BoardView:
     """(n,), how many depth pixels each value rests on, 0 where there is none."""
     predicted: bool = False
     """The corners were not seen in this image: `corners_px` says where its depth was read, by the board's pose in another."""
+    alone: bool = False
+    """Of its camera's own intrinsic recording, which is of another time."""
 
 
 @dataclass(frozen=True)

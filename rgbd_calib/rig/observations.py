@@ -35,6 +35,8 @@ class Observations:
     """(V, N), depth pixels that a corner rests on, over the median of its camera; 1 where there are none."""
     rounding_m: FloatArray
     """(V,), deviation of a depth that is rounded to the camera's unit, unit / sqrt(12)."""
+    alone: BoolArray
+    """(V,) bool: of the camera's own intrinsic recording."""
     has_pixel: BoolArray
     """(V, N) bool."""
     has_depth: BoolArray
@@ -142,6 +144,7 @@ def observe(
         depth,
         _over_median(cells, camera_of),
         units[camera_of] / np.sqrt(12),
+        np.array([placed.view.alone for placed in views]),
         has_pixel,
         has_depth,
     )

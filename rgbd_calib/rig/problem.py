@@ -30,6 +30,7 @@ from rgbd_calib.rig.blocks import (
     WallPlanes,
 )
 from rgbd_calib.rig.blocks.board_shape import nominal_corners_m
+from rgbd_calib.rig.blocks.depth_drift import DepthDrift
 from rgbd_calib.rig.blocks.registration import turn_of_rays
 from rgbd_calib.rig.blocks.units import N_OF_WALL
 from rgbd_calib.rig.observations import Observations
@@ -242,6 +243,10 @@ class Problem:
         """Rows of the depth of some views."""
         obs, c = sight.obs, sight.camera
         corrected, slope = self.corrected(state, c, obs.pixels_px, obs.depth_m, Kind.DEPTH)
+        for block in self.blocks:
+            if isinstance(block, DepthDrift):
+                drift, by_depth = block.error(state.values[block.name][c], obs.alone, obs.depth_m)
+                corrected, slope = corrected + drift, slope + by_depth
         if self.setup.priors[c].mount is not None:
             lens = self.setup.priors[c].intrinsics
             look = terms.look_at_plane(sight, lens, state.intrinsics[c], corrected, slope)

@@ -76,7 +76,7 @@ def problem(seed: int, every_block: bool = False, hold: tuple[str, ...] = ()) ->
     rng = np.random.default_rng(seed)
     rig, board = sv.ring(3, biased=True), sv.TWO_SIDED
     views = draw(rig, board, 4, rng)
-    views[0] = replace(views[0], view=replace(views[0].view, frame="alone"))
+    views[0] = replace(views[0], view=replace(views[0].view, frame="alone", alone=True))
     T = {name: se3.retract(own.T_world_color, rng.normal(0, 0.003, 6)) for name, own in rig.cameras.items()}
     params = BundleParams(sigma_2d_px=0.1, k_depth_per_m=7e-4, hold=hold)
     own, state, _ = problem_of(views, board, priors_of(rig, rng), T, "C1", params)

@@ -16,6 +16,7 @@ from rgbd_calib.rig.blocks.board_shape import BoardShapeBlock
 from rgbd_calib.rig.blocks.board_warp import BoardWarp
 from rgbd_calib.rig.blocks.camera_poses import CameraPoses
 from rgbd_calib.rig.blocks.depth_bias import DepthBiasBlock
+from rgbd_calib.rig.blocks.depth_drift import DepthDrift
 from rgbd_calib.rig.blocks.depth_error import DepthErrorBlock
 from rgbd_calib.rig.blocks.depth_field import DepthField
 from rgbd_calib.rig.blocks.depth_of_board import DepthOfBoard
@@ -33,6 +34,7 @@ ESTIMATED: tuple[type[Block], ...] = (
     IntrinsicsBlock,
     DepthBiasBlock,
     DepthOfBoard,
+    DepthDrift,
     DepthRipple,
     DepthField,
     DepthTilt,
