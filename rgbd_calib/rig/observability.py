@@ -8,7 +8,8 @@ import numpy as np
 
 from rgbd_calib.geometry.linear import BoolArray, Covariance, symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.rig.problem import Prior, Problem
+from rgbd_calib.rig.blocks import BlockPrior
+from rgbd_calib.rig.problem import Problem
 
 PRIOR_SHARE = 0.7
 """A parameter whose standard deviation is more than this share of its prior's was hardly determined by the data."""
@@ -66,7 +67,7 @@ def examine(problem: Problem, cov: Covariance) -> Observability:
     return Observability(tuple(sentences), float(max(eigenvalues[0], 0) / eigenvalues[-1]), undetermined)
 
 
-def _prior_sd(prior: Prior) -> FloatArray:
+def _prior_sd(prior: BlockPrior) -> FloatArray:
     variance = np.diag(symmetric_inverse(prior.information))
     return np.where(np.diag(prior.information) > 0, np.sqrt(variance), np.inf)
 

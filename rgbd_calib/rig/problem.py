@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.geometry.linear import Assembly, BoolArray, Covariance, IntArray, NormalEquations, Pattern, Rows
+from rgbd_calib.geometry.linear import Assembly, Covariance, IntArray, NormalEquations, Pattern, Rows
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig import terms
 from rgbd_calib.rig.blocks import (
     ESTIMATED,
     Block,
+    BlockPrior,
     Boards,
     BoardShapeBlock,
     Component,
@@ -30,7 +31,7 @@ from rgbd_calib.rig.blocks import (
     WallPlanes,
 )
 from rgbd_calib.rig.blocks.board_shape import nominal_corners_m
-from rgbd_calib.rig.blocks.depth_drift import DepthDrift
+from rgbd_calib.rig.blocks.depth_drift import drift_m
 from rgbd_calib.rig.blocks.registration import turn_of_rays
 from rgbd_calib.rig.blocks.units import N_OF_WALL
 from rgbd_calib.rig.observations import Observations
@@ -65,20 +66,6 @@ class State:
     def intrinsics(self) -> FloatArray:
         """(C, 4 + the longest lens)."""
         return self.values["intrinsics"]
-
-
-@dataclass(frozen=True)
-class Prior:
-    """Gaussian knowledge of the globals, and which of them are free."""
-
-    mean: FloatArray
-    """(P,), values of the parameters that have any; poses have none."""
-    information: FloatArray
-    """(P, P), inverse covariance."""
-    free: BoolArray
-    """(P,) bool."""
-    assumed: BoolArray
-    """(P,) bool: the knowledge is an assumption, not a measurement; where the recording adds none, it is said."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +133,8 @@ class Problem:
         return list(sets.values())
 
     @cached_property
-    def prior(self) -> Prior:
+    def prior(self) -> BlockPrior:
+        """Of all globals, (P,) and (P, P), that of the components included; poses have no mean."""
         P = self.n_globals
         mean, information = np.zeros(P), np.zeros((P, P))
         free, assumed = np.zeros(P, bool), np.zeros(P, bool)
@@ -156,7 +144,7 @@ class Problem:
             information[at, at] = own.information
         for index, component in self.components:
             information[np.ix_(index, index)] += component.structure / self.weights.sizes[component.name] ** 2
-        return Prior(mean, information, free, assumed)
+        return BlockPrior(mean, information, free, assumed)
 
     @property
     def n_board_units(self) -> int:
@@ -243,10 +231,9 @@ class Problem:
         """Rows of the depth of some views."""
         obs, c = sight.obs, sight.camera
         corrected, slope = self.corrected(state, c, obs.pixels_px, obs.depth_m, Kind.DEPTH)
-        for block in self.blocks:
-            if isinstance(block, DepthDrift):
-                drift, by_depth = block.error(state.values[block.name][c], obs.alone, obs.depth_m)
-                corrected, slope = corrected + drift, slope + by_depth
+        if "depth drift" in self.parts:
+            drift, by_depth = drift_m(state.values["depth drift"][c], obs.alone, obs.depth_m)
+            corrected, slope = corrected + drift, slope + by_depth
         if self.setup.priors[c].mount is not None:
             lens = self.setup.priors[c].intrinsics
             look = terms.look_at_plane(sight, lens, state.intrinsics[c], corrected, slope)

@@ -222,21 +222,27 @@ NOISE = ViewNoise(0.1, 0.7e-3, 0.0)
 BIAS_SD = np.diag([1e-3, 1e-3, 5e-4]) ** 2
 
 
-def solved(rig: Rig, seed: int, frames: int = 14, change=lambda views, rng: views) -> tuple[Solution, list[str]]:
-    """A bundle of drawn views, those of each camera alone among them, with priors drawn about the truth."""
+def solved(
+    rig: Rig, seed: int, frames: int = 14, change=lambda views, rng: views, time_of_flight: bool = False
+) -> tuple[Solution, list[str]]:
+    """A bundle of drawn views, those of each camera alone among them, with priors drawn about the truth; time of flight has none
+    of its depth."""
     rng = np.random.default_rng(seed)
     boards = sv.board_poses(rig, sv.BOARD, frames, rng)
     views = change(list(true_views(rig, boards, sv.BOARD, NOISE, rng)), rng)
     placed = list(sv.placed_truly(rig, boards, views, sv.BOARD))
     close = sv.board_poses(rig, sv.BOARD, 10, rng)
     single = sv.placed_truly(rig, close, true_views(rig, close, sv.BOARD, NOISE, rng), sv.BOARD)
-    placed += [replace(p, view=replace(p.view, frame=f"{p.view.camera} alone: {p.view.frame}")) for p in single]
+    placed += [
+        replace(p, view=replace(p.view, frame=f"{p.view.camera} alone: {p.view.frame}", alone=True)) for p in single
+    ]
     priors = {}
     for name, own in rig.cameras.items():
         lens = own.intrinsics.vector + rng.normal(0, 1, 9) * [2, 2, 2, 2, 0.01, 0.01, 1e-4, 1e-4, 0]
         drawn = rng.multivariate_normal(own.depth_bias.coefficients, BIAS_SD)
         bias = DepthBias(tuple(drawn), own.depth_bias.min_m, own.depth_bias.max_m, 0.0, BIAS_SD)
-        priors[name] = CameraPrior(own.intrinsics.with_vector(lens), None, True, bias)
+        depth = None if time_of_flight else bias
+        priors[name] = CameraPrior(own.intrinsics.with_vector(lens), None, True, depth, time_of_flight=time_of_flight)
     T = {name: own.T_world_color for name, own in rig.cameras.items()}
     return bundle(placed, sv.BOARD, priors, T, "C1"), sorted(boards)
 
@@ -333,6 +339,25 @@ def test_each_error_is_named_with_its_camera(fault):
     assert first.check in {fault} | also.get(fault, set()), [f.text for f in check.findings]
     assert first.cameras == ("C2",)
     assert "C2" in first.text
+
+
+@pytest.mark.parametrize(("drift_m", "said"), [(0.006, False), (0.04, True)])
+def test_time_of_flight_may_have_drifted_between_recordings(drift_m, said):
+    def change(views, rng):
+        return moved_from(views, "", "C2", lambda v: replace(v, depth_m=v.depth_m + drift_m))
+
+    result, frames = solved(sv.arc(3, biased=True), 1, change=change, time_of_flight=True)
+    own = result.problem.index("depth drift", 1)
+    by_distance = np.array([1.0, 1.5])
+    found = by_distance @ result.state.values["depth drift"][1]
+    sd = np.sqrt(by_distance @ result.covariance[np.ix_(own, own)] @ by_distance)
+    assert sd < 0.002
+    assert said or abs(found - drift_m) < 3 * sd  # its prior of 5 mm draws 40 mm to itself
+    views = [p.view for p in result.course.views if p.view.frame in frames]
+    check = check_bundle(result, sv.BOARD, views, AssociationResult((), {}, {}, (), "C1"), frames, 0.0, PARAMS)
+    named = [f.cameras for f in check.findings if f.check == "depth between recordings"]
+    assert named == ([("C2",)] if said else [])
+    assert check.trusted != said, [f.text for f in check.findings]
 
 
 def test_depth_that_errs_over_the_image_is_taken_into_the_model():

@@ -53,12 +53,13 @@ class DepthDrift(Block):
         information = np.diag(np.tile(SD**-2.0, self.sets))
         return BlockPrior(np.zeros(self.size), information, free.ravel(), np.zeros(self.size, bool))
 
-    def error(self, own: FloatArray, alone: BoolArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """True less reported depth (n, N), metres, and its slope, by the camera's parameters; `alone` (n,) are of views."""
-        own = np.where(alone[:, None], own, 0.0)
-        return own[:, :1] + own[:, 1:] * depth_m, np.broadcast_to(own[:, 1:], depth_m.shape)
-
     def derivative(self, look: Look) -> FloatArray:
         assert look.slope is not None  # rows of depth have it
         by_error = np.where(look.sight.obs.alone[:, None], -1 / look.slope, 0.0)
         return np.stack([by_error, by_error * (look.depth_m + look.left[..., 0])], axis=-1)[..., None, :]
+
+
+def drift_m(own: FloatArray, alone: BoolArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """True less reported depth (n, N), metres, and its slope, by the parameters (2,) of a camera; of views, `alone` (n,) or not."""
+    by_view = np.where(alone[:, None], own, 0.0)
+    return by_view[:, :1] + by_view[:, 1:] * depth_m, np.broadcast_to(by_view[:, 1:], depth_m.shape)
