@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from rgbd_calib.geometry import se3, so3
 from rgbd_calib.types import Rig
 
 Image = np.ndarray
@@ -67,6 +68,8 @@ class Spoiling:
     changes: str = ""
     """What is really another in the second camera (all: in all cameras) and so not compared: depth, lens."""
     everywhere: bool = False
+    turned_deg: float = 0.0
+    """By which the colour camera really turns about its axis, anticlockwise in the image."""
 
 
 def _blurred(sigma_px: float) -> Callable[[Image], Image]:
@@ -148,7 +151,8 @@ def _interlaced(image: Image) -> Image:
 def _turned(deg: float) -> Callable[[Image], Image]:
     def change(image: Image) -> Image:
         h, w = image.shape[:2]
-        return cv2.warpAffine(image, cv2.getRotationMatrix2D((w / 2, h / 2), deg, 1), (w, h), flags=cv2.INTER_NEAREST)
+        between = cv2.INTER_CUBIC if image.ndim == 3 else cv2.INTER_NEAREST  # steps of half a pixel would move corners
+        return cv2.warpAffine(image, cv2.getRotationMatrix2D((w / 2, h / 2), deg, 1), (w, h), flags=between)
 
     return change
 
@@ -297,7 +301,9 @@ SPOILINGS: dict[str, Spoiling] = {
     ),
     "one camera's images letterboxed": Spoiling(lambda f: f.both(_letterboxed, 1), "", "lens depth"),
     "one camera's images interlaced": Spoiling(lambda f: f.images("color", _interlaced, 1), "", "lens"),
-    "one camera's colour turned by 2 deg about its middle": Spoiling(lambda f: f.images("color", _turned(2), 1), "cam1|depth"),
+    "one camera's colour turned by 2 deg about its middle": Spoiling(
+        lambda f: f.images("color", _turned(2), 1), "", "lens depth", turned_deg=2.0
+    ),
     "one camera's images without gamma": Spoiling(lambda f: f.images("color", _gamma, 1)),
     "one camera's images inverted": Spoiling(lambda f: f.images("color", lambda i: 255 - i, 1)),
     "one camera's images grey": Spoiling(lambda f: f.images("color", lambda i: i[..., 1], 1)),
@@ -318,5 +324,6 @@ def with_unspoiled(now: Rig, base: Rig, spoiling: Spoiling) -> Rig:
             own, true = cameras[name], base.cameras[name]
             depth = {"depth_bias": true.depth_bias, "depth_field": true.depth_field, "depth_camera": true.depth_camera}
             lens = {"intrinsics": true.intrinsics} if "lens" in spoiling.changes else {}
-            cameras[name] = replace(own, **depth, **lens)
+            turn = se3.make(so3.exp(np.array([0.0, 0.0, -np.deg2rad(spoiling.turned_deg)])), np.zeros(3))
+            cameras[name] = replace(own, T_world_color=own.T_world_color @ turn, **depth, **lens)
     return replace(now, cameras=cameras)
