@@ -341,6 +341,36 @@ def test_each_error_is_named_with_its_camera(fault):
     assert "C2" in first.text
 
 
+@pytest.mark.parametrize("moved", ["C1", "C2"])
+def test_of_two_cameras_either_may_have_moved(moved):
+    rig = sv.arc(2, biased=True)
+    own = rig.cameras[moved]
+    elsewhere = replace(
+        own, T_world_color=own.T_world_color @ se3.retract(np.eye(4), np.array([0, 0.01, 0, 0.01, 0, 0]))
+    )
+    later = replace(rig, cameras={**rig.cameras, moved: elsewhere})
+
+    def change(views, rng):
+        boards = sv.board_poses(rig, sv.BOARD, 14, np.random.default_rng(1))
+        late = {frame: T for frame, T in boards.items() if frame >= "000007"}
+        return [*(v for v in views if v.frame < "000007"), *true_views(later, late, sv.BOARD, NOISE, rng)]
+
+    result, frames = solved(rig, 1, change=change)
+    views = [p.view for p in result.course.views if p.view.frame in frames]
+    boards, rng = sv.board_poses(rig, sv.BOARD, 14, np.random.default_rng(1)), np.random.default_rng(2)
+    placed = []  # as each view's own pixels put its board
+    for v in views:
+        T_world_color = (later if v.frame >= "000007" else rig).cameras[v.camera].T_world_color
+        T_color_board = se3.retract(se3.inverse(T_world_color) @ boards[v.frame], rng.normal(0, 1e-3, 6))
+        placed.append(PlacedView(v, False, False, T_color_board))
+    check = check_bundle(
+        result, sv.BOARD, views, AssociationResult(tuple(placed), {}, {}, (), "C1"), frames, 0.0, PARAMS
+    )
+    first = check.findings[0]
+    assert (first.check, first.cameras) == ("pose over time", ("C1", "C2"))
+    assert "at frame 000007" in first.text
+
+
 @pytest.mark.parametrize(("drift_m", "said"), [(0.006, False), (0.04, True)])
 def test_time_of_flight_may_have_drifted_between_recordings(drift_m, said):
     def change(views, rng):

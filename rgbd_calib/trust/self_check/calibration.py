@@ -107,8 +107,10 @@ def check_bundle(
     motion = [] if carried else check_motion(eq, explained, apart_mm, errors, params)
     by_cameras = any(own.cameras for own in errors)  # then boards are wrong, and would be blamed on the walls
     wrong_walls = [] if by_cameras else [*check_walls(walls_of_bundle(solved), params), *check_bends(solved, params)]
-    if motion:
-        errors = [*motion, *(own for own in errors if not own.cameras)]
+    noisy = any(own.sigma_px is not None and own.sigma_px > params.max_sigma_px for own in noise.values())
+    steps = check_steps(association.views, frames_in_time, params) if (motion or noisy) and not carried else []
+    if steps or motion:
+        errors = [*(steps or motion), *(own for own in errors if not own.cameras)]
     folds = hold_out(eq, params)
     of_explained = folds if explained is eq else hold_out(explained, params)
     of_folds = held_out_findings(of_explained, params, len(tests), stated_mm)
@@ -117,10 +119,7 @@ def check_bundle(
     blind = [key for key in dropped if key in with_pixels]
     lost = [*association.dropped, *(key for key in dropped if key not in blind)]
     ratios = ratios_of_bundle(solved, eq, params)
-    of_noise = [f for f in check_noise(noise, params, stated_mm) if not (errors and f.effect_mm)]
-    noisy = any(f.check == "pixel noise" for f in of_noise)
     findings = [
-        *(check_steps(association.views, frames_in_time, params) if noisy and not carried else []),
         *_before(
             views,
             association,
@@ -134,7 +133,7 @@ def check_bundle(
         ),
         *errors,
         *of_folds,
-        *of_noise,
+        *(f for f in check_noise(noise, params, stated_mm) if not (errors and f.effect_mm)),
         *check_groups(ratios, params),
         *wrong_walls,
     ]

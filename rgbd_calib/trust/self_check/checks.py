@@ -16,6 +16,9 @@ from rgbd_calib.types import BoardView, IntArray, PlacedView
 from rgbd_calib.views.association import Cause
 from rgbd_calib.views.depth_scale import clipped_share
 
+LEAST_SD = 1e-9
+"""Radians, or metres: of poses that are equal."""
+
 
 @dataclass(frozen=True)
 class ResidualNoise:
@@ -96,8 +99,8 @@ def check_votes(
 def check_steps(views: Sequence[PlacedView], frames_in_time: Sequence[str], params: SelfCheckParams) -> list[Finding]:
     """Relative poses by single views that change at one frame, the clearest first.
 
-    A change that bends everything else to it, lenses and boards too, leaves no sound estimate by which to see it. So each frame
-    is asked alone: the likeliest step of errors by Laplace, of a scale that each component has for itself; then the step
+    A change that bends everything else to it, lenses and boards too, or of which most views were left out, leaves no sound
+    estimate by which to see it. So each frame is asked alone: the likeliest step of errors by Laplace, of a scale that each component has for itself; then the step
     of the medians against the median absolute deviation from them.
     """
     poses: dict[str, dict[str, FloatArray]] = {}
@@ -111,9 +114,9 @@ def check_steps(views: Sequence[PlacedView], frames_in_time: Sequence[str], para
         relative = np.stack([poses[f][pair[0]] @ se3.inverse(poses[f][pair[1]]) for f in common])
         x = se3.difference(relative, relative[0])
         places = range(params.min_side, len(common) - params.min_side + 1)
-        n = min(places, key=lambda n: float(np.log(np.abs(_about_medians(x, n)).mean(axis=0)).sum()))
+        n = min(places, key=lambda n: float(np.log(np.abs(_about_medians(x, n)).mean(axis=0) + LEAST_SD).sum()))
         of_median = np.sqrt(np.pi / 2 * (1 / n + 1 / (len(common) - n)))
-        sd = median_abs_deviation(_about_medians(x, n), scale="normal") * of_median
+        sd = np.maximum(median_abs_deviation(_about_medians(x, n), scale="normal") * of_median, LEAST_SD)
         size = float(np.linalg.norm((np.median(x[n:], axis=0) - np.median(x[:n], axis=0)) / sd))
         if size > params.min_step_sd:
             found.append((size, pair, common[n]))

@@ -41,7 +41,7 @@ class SelfCheckParams:
     bad_sigma_px: float = 1.0
     min_step_sd: float = 10.0
     """Standard errors by which single views of two cameras put these elsewhere from one frame on, where corners scatter by more
-    than max_sigma_px: then something that the estimate holds constant was not, and this is it."""
+    than max_sigma_px, or boards seem to move: then something that the estimate holds constant was not, and this is it."""
     max_depth_k_per_m: float = 5e-3
     """sigma_z = k z^2 of the mean over a corner's cell. One pixel of a Kinect or Xtion has 1.6e-3, of the worst sensors
     of this kind 5e-3: a mean that is no better than the worst single pixel is not the sensor's noise."""

@@ -78,9 +78,10 @@ def _held(eq: Equations, block: Block) -> Iterator[Hypothesis]:
 
 
 def _over_time(eq: Equations, block: Block, c: int, params: SelfCheckParams) -> Iterator[Hypothesis]:
-    """Parameters that are others from some frame on."""
+    """Parameters that are others from some frame on; of two cameras, nothing tells which of them moved against the other."""
     fault, n = block.over_time, len(eq.frames)
-    if fault is None:
+    either = fault is not None and fault.shared and len(eq.cameras) == 2
+    if fault is None or (either and c > 0):
         return
     where = (eq.camera == c) & (eq.time_index != ALONE) & (eq.shared if fault.shared else True)
     for split in dict.fromkeys(round(k * n / params.splits) for k in range(1, params.splits)):
@@ -89,7 +90,8 @@ def _over_time(eq: Equations, block: Block, c: int, params: SelfCheckParams) -> 
         if min(sides) >= params.min_side and _seen(eq, block, late):
             # frames of carried boards begin with the camera's name
             frame = eq.frames[eq.time_index[late].min()].removeprefix(f"{eq.cameras[c]} ")
-            yield Hypothesis(fault, (eq.cameras[c],), _columns(eq, block, fault), late, frame)
+            names = tuple(eq.cameras) if either else (eq.cameras[c],)
+            yield Hypothesis(fault, names, _columns(eq, block, fault), late, frame)
 
 
 def _between_recordings(eq: Equations, block: Block, c: int | None, params: SelfCheckParams) -> Iterator[Hypothesis]:

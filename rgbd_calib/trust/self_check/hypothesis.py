@@ -42,7 +42,7 @@ class Hypothesis:
 
     def say(self, eq: Equations, score: Score) -> str:
         z = float(np.sqrt(np.average(eq.distance_m[self.where] ** 2, weights=eq.corners[self.where])))
-        named = self.cameras[0] if len(self.cameras) == 1 else ", ".join(self.cameras)
+        named = (" or " if self.frame else ", ").join(self.cameras)
         return self.fault.say(Told(score.estimate, score.covariance, score.effect_m, named, self.frame, z))
 
     def test(self, eq: Equations) -> Score:
