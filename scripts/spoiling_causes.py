@@ -34,7 +34,7 @@ CAUSES = {
     "depth of one camera 3 % longer than when the walls were filmed": "C2: written distances of walls .*times as long",
     "one camera's depth saturated at 1.8 m": "clipped",
     "one camera's depth drifts by 0.5 % while it warms up": "C2's depth .*changed",
-    "all cameras' depth drifts by 0.5 % while it warms up": "depth .*changed",
+    "all cameras' depth drifts by 0.5 % while it warms up": "depth .*(changed|drifted)",
     "depth bias of another camera": "C[12].*written distances of walls|C2's walls look bent",
     "one wall distance mistyped (1.2 as 2.1)": "C2: .*2.1.* m for 1.",
     "one wall distance mistyped by 5 cm": "C2: .*1.8.* m for 1.",

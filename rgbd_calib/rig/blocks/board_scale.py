@@ -41,9 +41,10 @@ class BoardScale(BoardShapeBlock):
         "board between recordings",
         lambda t: (
             f"The board's squares in the intrinsic recording are {_percent(t)} from those in the rig's, or {t.mm} at "
-            f"{t.distance_m:.1f} m"
+            f"{t.distance_m:.1f} m; or the depth of all cameras drifted by as much"
         ),
-        "Were both filmed with one board? Say the squares of each in its dataset.yaml, or film the intrinsic recording again",
+        "Were both filmed with one board, with cameras that were warm? Say the squares of each in its dataset.yaml, or film the "
+        "intrinsic recording again",
     )
     least_seen = (
         1e-9  # the board's size is not seen in pixels; what is known of the depth before is little against them

@@ -54,7 +54,7 @@ def _shaken(eq: Equations, name: str, apart_mm: float, params: SelfCheckParams) 
         return []
     text = (
         f"{name}'s images put the board elsewhere in each frame than the other cameras' images do, by {apart_mm:.0f} mm (RMS), "
-        "and those agree better with each other"
+        "and those agree better with each other: it shakes, or its images and theirs are not one instant"
     )
     advice = (
         "Switch image stabilisation and autofocus off, fix the camera to its mount, and check that its frames are of the same "
