@@ -31,11 +31,17 @@ def course(quality: Quality) -> list[str]:
     lines += [f"{name}: {own.sentence}" for name, own in (quality.lenses or {}).items()]
     for reasons, what in ((quality.views_not_associated, "left out"), (quality.dropped, "dropped")):
         for name, frames in (reasons or {}).items():
-            lines += [f"{name}: frame {frame} {what}: {why}" for frame, why in frames.items()]
+            lines += [f"{name}: {_named(frame)} {what}: {why}" for frame, why in frames.items()]
     lines += merged(quality.not_observable or (), list(images))
     if quality.message is not None:
         lines.append(f"{quality.method}: {quality.message}")
     return lines
+
+
+def _named(frame: str) -> str:
+    """As people know it: frames of an intrinsic recording have their camera before their name."""
+    *camera, own = frame.split(" alone: ")
+    return f"frame {own} of its intrinsic recording" if camera else f"frame {own}"
 
 
 def merged(sentences: Iterable[str], cameras: Sequence[str]) -> list[str]:

@@ -7,7 +7,15 @@ import click
 import pytest
 
 from rgbd_calib.cli.main import COMMANDS
-from rgbd_calib.pipeline.summary import merged
+from rgbd_calib.pipeline.summary import course, merged
+from rgbd_calib.quality import Quality
+
+
+def test_a_dropped_frame_is_named_as_people_know_it():
+    assert course(Quality(dropped={"C1": {"C1 alone: 101017": "outlier", "000003": "outlier"}})) == [
+        "C1: frame 101017 of its intrinsic recording dropped: outlier",
+        "C1: frame 000003 dropped: outlier",
+    ]
 
 
 def test_help_lists_the_commands_in_the_order_of_the_work(run):

@@ -17,7 +17,7 @@ from rgbd_calib.geometry.linear import symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.pipeline.evaluate import against_truth
 from rgbd_calib.rig import solve
-from rgbd_calib.rig.blocks import ESTIMATED, HELD, Kind
+from rgbd_calib.rig.blocks import ESTIMATED, HELD, DepthBiasBlock, Kind
 from rgbd_calib.rig.blocks.block import Scope
 from rgbd_calib.rig.bundle import bundle, free_structure, freed, problem_of
 from rgbd_calib.rig.observations import Walls
@@ -86,6 +86,14 @@ def problem(seed: int, every_block: bool = False, hold: tuple[str, ...] = ()) ->
     off = {"pose": 0.0, "intrinsics": 0.0, "depth bias": 0.0, "pixel field": 0.0, "corner offsets": 1e-4}
     steps = [rng.normal(0, off.get(b.name, 1e-3), b.size) for b in own.blocks]
     return own, own.moved(state, np.concatenate(steps), np.zeros((own.obs.n_frames, 6)))
+
+
+def test_what_bends_a_bias_is_known_from_what_makes_it() -> None:
+    """Nobody is told to film for it."""
+    own, _ = problem(0)
+    unknown = tuple(replace(prior, bias=None) for prior in own.setup.priors)
+    assumed = DepthBiasBlock(replace(own.setup, priors=unknown)).prior().assumed
+    assert assumed.reshape(3, -1).tolist() == [[True, True, True, False]] * 3
 
 
 @pytest.mark.parametrize("structure", ["board", "free"])

@@ -19,6 +19,9 @@ from rgbd_calib.rig.blocks.depth_error import LinearDepthErrorBlock
 from rgbd_calib.rig.setup import N_WEAK_BIAS, BundleParams
 from rgbd_calib.types import DepthBias
 
+N_QUADRATIC = 3
+"""Coefficients of a triangulating sensor that a recording should determine; the size of further ones is known from what makes
+them."""
 BEYOND = 1.3
 """Times the range of the data, on either end, up to which the curve of a triangulating sensor goes on."""
 BEND_SD_PER_M2 = 4e-5
@@ -117,7 +120,8 @@ class DepthBiasBlock(LinearDepthErrorBlock):
             seen = bool(np.any(obs.has_depth[obs.camera == i]) or np.any(walls.camera == i))
             free[i, :n_own] = seen and prior.held == "nothing"
             known = prior.given_bias
-            assumed[i, :n_own] = known is None or known.covariance is None
+            to_find = n_own if prior.time_of_flight else min(n_own, N_QUADRATIC)
+            assumed[i, :to_find] = known is None or known.covariance is None
             if known is not None:
                 mean[i, :n_own] = known.coefficients
             at = slice(i * n, i * n + n_own)
