@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import synthetic_views as sv
+from solved_rig import NOISE, moved_from, solved
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.linear import NormalEquations, Pattern, Rows, assemble
@@ -15,10 +16,7 @@ from rgbd_calib.io.files import load_yaml
 from rgbd_calib.io.rig import read_rig
 from rgbd_calib.report.page import Contents, render
 from rgbd_calib.rig import solve
-from rgbd_calib.rig.bundle import bundle
-from rgbd_calib.rig.setup import CameraPrior
-from rgbd_calib.rig.solution import Solution
-from rgbd_calib.simulation.views import ViewNoise, true_views
+from rgbd_calib.simulation.views import true_views
 from rgbd_calib.trust.self_check import (
     ALONE,
     Equations,
@@ -29,7 +27,6 @@ from rgbd_calib.trust.self_check import (
     check_dropped,
     check_groups,
     check_noise,
-    check_steps,
     check_votes,
     delete,
     findings_of,
@@ -42,7 +39,6 @@ from rgbd_calib.trust.self_check.calibration import check_bundle, of_calibration
 from rgbd_calib.trust.self_check.equations import ViewRows
 from rgbd_calib.trust.self_check.of_solution import equations_of, held_blocks
 from rgbd_calib.trust.verdict import judge
-from rgbd_calib.types import DepthBias, PlacedView, Rig
 from rgbd_calib.views.association import AssociationResult
 
 PARAMS = SelfCheckParams()
@@ -218,35 +214,6 @@ def test_what_errors_of_all_views_move_the_solution_without_a_frame_by():
     assert held.statistic < delete(eq, gone).statistic  # more is allowed
 
 
-NOISE = ViewNoise(0.1, 0.7e-3, 0.0)
-BIAS_SD = np.diag([1e-3, 1e-3, 5e-4]) ** 2
-
-
-def solved(
-    rig: Rig, seed: int, frames: int = 14, change=lambda views, rng: views, time_of_flight: bool = False
-) -> tuple[Solution, list[str]]:
-    """A bundle of drawn views, those of each camera alone among them, with priors drawn about the truth; time of flight has none
-    of its depth."""
-    rng = np.random.default_rng(seed)
-    boards = sv.board_poses(rig, sv.BOARD, frames, rng)
-    views = change(list(true_views(rig, boards, sv.BOARD, NOISE, rng)), rng)
-    placed = list(sv.placed_truly(rig, boards, views, sv.BOARD))
-    close = sv.board_poses(rig, sv.BOARD, 10, rng)
-    single = sv.placed_truly(rig, close, true_views(rig, close, sv.BOARD, NOISE, rng), sv.BOARD)
-    placed += [
-        replace(p, view=replace(p.view, frame=f"{p.view.camera} alone: {p.view.frame}", alone=True)) for p in single
-    ]
-    priors = {}
-    for name, own in rig.cameras.items():
-        lens = own.intrinsics.vector + rng.normal(0, 1, 9) * [2, 2, 2, 2, 0.01, 0.01, 1e-4, 1e-4, 0]
-        drawn = rng.multivariate_normal(own.depth_bias.coefficients, BIAS_SD)
-        bias = DepthBias(tuple(drawn), own.depth_bias.min_m, own.depth_bias.max_m, 0.0, BIAS_SD)
-        depth = None if time_of_flight else bias
-        priors[name] = CameraPrior(own.intrinsics.with_vector(lens), None, True, depth, time_of_flight=time_of_flight)
-    T = {name: own.T_world_color for name, own in rig.cameras.items()}
-    return bundle(placed, sv.BOARD, priors, T, "C1"), sorted(boards)
-
-
 def test_frames_held_out_by_formula_and_by_a_real_refit():
     """One Gauss-Newton step: what it leaves out is of second order, some hundredths of a standard deviation."""
     result, frames = solved(sv.arc(3, biased=True), 0)
@@ -304,10 +271,6 @@ def test_parts_that_are_held_out_of_a_sound_recording_fit_and_say_it_in_all_thei
         assert 0.5 < part.chi2 / part.dof < 2, part
 
 
-def moved_from(views, frame: str, camera: str, change):
-    return [change(v) if v.camera == camera and v.frame >= frame else v for v in views]
-
-
 FAULTS = {
     "pose over time": lambda views, rng: moved_from(
         views, "000007", "C2", lambda v: replace(v, corners_px=v.corners_px + [1.5, 0.7])
@@ -341,55 +304,6 @@ def test_each_error_is_named_with_its_camera(fault):
     assert "C2" in first.text
 
 
-@pytest.mark.parametrize("moved", ["C1", "C2"])
-def test_of_two_cameras_either_may_have_moved(moved):
-    rig = sv.arc(2, biased=True)
-    own = rig.cameras[moved]
-    elsewhere = replace(
-        own, T_world_color=own.T_world_color @ se3.retract(np.eye(4), np.array([0, 0.01, 0, 0.01, 0, 0]))
-    )
-    later = replace(rig, cameras={**rig.cameras, moved: elsewhere})
-
-    def change(views, rng):
-        boards = sv.board_poses(rig, sv.BOARD, 14, np.random.default_rng(1))
-        late = {frame: T for frame, T in boards.items() if frame >= "000007"}
-        return [*(v for v in views if v.frame < "000007"), *true_views(later, late, sv.BOARD, NOISE, rng)]
-
-    result, frames = solved(rig, 1, change=change)
-    views = [p.view for p in result.course.views if p.view.frame in frames]
-    boards, rng = sv.board_poses(rig, sv.BOARD, 14, np.random.default_rng(1)), np.random.default_rng(2)
-    placed = []  # as each view's own pixels put its board
-    for v in views:
-        T_world_color = (later if v.frame >= "000007" else rig).cameras[v.camera].T_world_color
-        T_color_board = se3.retract(se3.inverse(T_world_color) @ boards[v.frame], rng.normal(0, 1e-3, 6))
-        placed.append(PlacedView(v, False, False, T_color_board))
-    check = check_bundle(
-        result, sv.BOARD, views, AssociationResult(tuple(placed), {}, {}, (), "C1"), frames, 0.0, PARAMS
-    )
-    first = check.findings[0]
-    assert (first.check, first.cameras) == ("pose over time", ("C1", "C2"))
-    assert "at frame 000007" in first.text
-
-
-@pytest.mark.parametrize(("drift_m", "said"), [(0.006, False), (0.04, True)])
-def test_time_of_flight_may_have_drifted_between_recordings(drift_m, said):
-    def change(views, rng):
-        return moved_from(views, "", "C2", lambda v: replace(v, depth_m=v.depth_m + drift_m))
-
-    result, frames = solved(sv.arc(3, biased=True), 1, change=change, time_of_flight=True)
-    own = result.problem.index("depth drift", 1)
-    by_distance = np.array([1.0, 1.5])
-    found = by_distance @ result.state.values["depth drift"][1]
-    sd = np.sqrt(by_distance @ result.covariance[np.ix_(own, own)] @ by_distance)
-    assert sd < 0.002
-    assert said or abs(found - drift_m) < 3 * sd  # its prior of 5 mm draws 40 mm to itself
-    views = [p.view for p in result.course.views if p.view.frame in frames]
-    check = check_bundle(result, sv.BOARD, views, AssociationResult((), {}, {}, (), "C1"), frames, 0.0, PARAMS)
-    named = [f.cameras for f in check.findings if f.check == "depth between recordings"]
-    assert named == ([("C2",)] if said else [])
-    assert check.trusted != said, [f.text for f in check.findings]
-
-
 def test_depth_that_errs_over_the_image_is_taken_into_the_model():
     def change(views, rng):
         return moved_from(
@@ -416,20 +330,6 @@ def test_the_same_error_counts_by_the_distance_at_which_it_is(distance_m):
     assert limits.caution_mm == pytest.approx(0.5 * distance_m)
     assert limits.distrust_mm == pytest.approx(1.5 * distance_m)
     assert limits.max_sigma_px == SelfCheckParams().max_sigma_px  # pixels are pixels at any distance
-
-
-@pytest.mark.parametrize("motion", [None, [0.0, 0.0, 0.03, 0.0, 0.05, 0.0]], ids=["at rest", "mounted anew"])
-def test_a_step_of_the_relative_pose_is_named_with_its_frame(motion):
-    rng = np.random.default_rng(2)
-    frames = [f"{k:03d}" for k in range(20)]
-    placed = []
-    for k, frame in enumerate(frames):
-        T_c1_board = se3.retract(np.eye(4), np.array([*rng.normal(0, 0.3, 5), 2.0]))
-        moved = np.asarray(motion) if motion and k >= 12 else np.zeros(6)
-        for camera, T in (("C1", T_c1_board), ("C2", se3.retract(T_c1_board, moved + rng.normal(0, 3e-3, 6)))):
-            placed.append(PlacedView(view(frame, camera), False, False, T))
-    found = check_steps(placed, frames, PARAMS)
-    assert [f.text for f in found] == (["C1 and C2: their relative pose changed at frame 012"] if motion else [])
 
 
 def test_checks_without_equations():
