@@ -377,7 +377,7 @@ def _threads(t: Trial) -> str:
 
 @kind(16, "the preview's server: Host, token, idle connections (`pytest tests/io/test_serving.py`)")
 def _serving(t: Trial) -> str:
-    tests = Path(t.env["PYTHONPATH"]) / "tests" / "test_serving.py"
+    tests = Path(t.env["PYTHONPATH"]) / "tests" / "io" / "test_serving.py"
     if not tests.exists():
         return "not run: this version has no such tests"
     done = subprocess.run(

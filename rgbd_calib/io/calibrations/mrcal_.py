@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import re
+import warnings
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry import se3
@@ -32,8 +33,10 @@ def read(document: Document) -> FoundCalibration:
     path = document.path
     lines = [line for line in document.text.splitlines() if not line.lstrip().startswith("#")]
     try:
-        # a solution's whole input may stand in it, as text of bytes; nothing of it is needed
-        model = ast.literal_eval(_OPTIMIZATION.sub("", "\n".join(lines)))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of the parser, on standard error
+            # a solution's whole input may stand in it, as text of bytes; nothing of it is needed
+            model = ast.literal_eval(_OPTIMIZATION.sub("", "\n".join(lines)))
     except (ValueError, SyntaxError, MemoryError, RecursionError) as error:
         why = " ".join(str(error).split())[:200]
         raise ConfigError(f"{path}: cannot be read as a cameramodel ({why}). Is it complete? Copy it again") from None
