@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -44,6 +44,10 @@ class BoardView:
     """The corners were not seen in this image: `corners_px` says where its depth was read, by the board's pose in another."""
     alone: bool = False
     """Of its camera's own intrinsic recording, which is of another time."""
+
+    def as_alone(self, camera: str | None = None) -> BoardView:
+        """The same as of an intrinsic recording, its frame named after `camera`, or its own."""
+        return replace(self, frame=f"{camera or self.camera} alone: {self.frame}", alone=True)
 
 
 @dataclass(frozen=True)

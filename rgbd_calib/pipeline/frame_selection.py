@@ -95,7 +95,7 @@ def views_alone(
         result = lenses.results.get(view.camera)
         if view.camera in recording.cameras and (result is None or view.frame not in result.dropped):
             mount = recording.cameras[view.camera].mount
-            own = replace(view, frame=f"{mount.camera if mount else view.camera} alone: {view.frame}", alone=True)
+            own = view.as_alone(mount.camera if mount else None)
             posed.append(
                 pose_view(own, board, lenses.intrinsics[view.camera], biases.get(view.camera), config.board_pose)
             )

@@ -200,8 +200,7 @@ def _rough_pose(
 
 
 def _alone(posed: PosedView) -> PlacedView:
-    view = replace(posed.view, frame=f"{posed.view.camera} alone: {posed.view.frame}")
-    return PlacedView(view, False, False, posed.T_color_face)
+    return PlacedView(posed.view.as_alone(), False, False, posed.T_color_face)
 
 
 def _entry(

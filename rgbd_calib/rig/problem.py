@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from rgbd_calib.geometry import se3
-from rgbd_calib.geometry.linear import Assembly, Covariance, IntArray, NormalEquations, Pattern, Rows
+from rgbd_calib.geometry.linear import Assembly, BoolArray, Covariance, IntArray, NormalEquations, Pattern, Rows
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig import terms
 from rgbd_calib.rig.blocks import (
@@ -31,7 +31,6 @@ from rgbd_calib.rig.blocks import (
     WallPlanes,
 )
 from rgbd_calib.rig.blocks.board_shape import nominal_corners_m
-from rgbd_calib.rig.blocks.depth_drift import drift_m
 from rgbd_calib.rig.blocks.registration import turn_of_rays
 from rgbd_calib.rig.blocks.units import N_OF_WALL
 from rgbd_calib.rig.observations import Observations
@@ -230,10 +229,7 @@ class Problem:
     def look_at_depth(self, state: State, sight: Sight) -> Look:
         """Rows of the depth of some views."""
         obs, c = sight.obs, sight.camera
-        corrected, slope = self.corrected(state, c, obs.pixels_px, obs.depth_m, Kind.DEPTH)
-        if "depth drift" in self.parts:
-            drift, by_depth = drift_m(state.values["depth drift"][c], obs.alone, obs.depth_m)
-            corrected, slope = corrected + drift, slope + by_depth
+        corrected, slope = self.corrected(state, c, obs.pixels_px, obs.depth_m, Kind.DEPTH, obs.alone)
         if self.setup.priors[c].mount is not None:
             lens = self.setup.priors[c].intrinsics
             look = terms.look_at_plane(sight, lens, state.intrinsics[c], corrected, slope)
@@ -260,17 +256,25 @@ class Problem:
             yield mine, replace(look, values=self._of_depth(state, c)), (by_wall / slope[..., None])[:, :, None]
 
     def corrected(
-        self, state: State, camera: int, pixels_px: FloatArray, depth_m: FloatArray, kind: Kind
+        self,
+        state: State,
+        camera: int,
+        pixels_px: FloatArray,
+        depth_m: FloatArray,
+        kind: Kind,
+        alone: BoolArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
-        """Depth (n, N), metres, of boards or walls, as the state corrects it, and its slope by the reported depth."""
+        """Depth (n, N), metres, of boards or walls, as the state corrects it, and its slope by the reported depth; `alone` (n,)
+        are the boards of intrinsic recordings."""
         corrected, slope = depth_m.copy(), np.ones(depth_m.shape)
         if self.local and (local := self.local[camera]) is not None:
             corrected += local.error_m(pixels_px, depth_m, self.setup.sizes_px[camera])
         for block in self.blocks:
             if isinstance(block, DepthErrorBlock) and kind in block.kinds:
                 error, by_depth = block.error(camera, state.values[block.name][camera], pixels_px, depth_m)
-                corrected += error
-                slope += by_depth
+                some = alone[:, None] if block.of_alone and alone is not None else 1.0
+                corrected += some * error
+                slope += some * by_depth
         return corrected, slope
 
     def _of_depth(self, state: State, camera: int) -> dict[str, FloatArray]:

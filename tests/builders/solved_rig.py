@@ -28,9 +28,7 @@ def solved(
     placed = list(sv.placed_truly(rig, boards, views, sv.BOARD))
     close = sv.board_poses(rig, sv.BOARD, 10, rng)
     single = sv.placed_truly(rig, close, true_views(rig, close, sv.BOARD, NOISE, rng), sv.BOARD)
-    placed += [
-        replace(p, view=replace(p.view, frame=f"{p.view.camera} alone: {p.view.frame}", alone=True)) for p in single
-    ]
+    placed += [replace(p, view=p.view.as_alone()) for p in single]
     priors = {}
     for name, own in rig.cameras.items():
         lens = own.intrinsics.vector + rng.normal(0, 1, 9) * [2, 2, 2, 2, 0.01, 0.01, 1e-4, 1e-4, 0]

@@ -13,21 +13,17 @@ from __future__ import annotations
 import numpy as np
 
 from rgbd_calib.geometry.linear import BoolArray
-from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.rig.blocks.block import Block, BlockPrior, Fault, Kind, Scope
+from rgbd_calib.rig.blocks.block import Fault
+from rgbd_calib.rig.blocks.depth_of_board import DepthOfBoard
 from rgbd_calib.rig.setup import Setup
-from rgbd_calib.rig.sight import Look
-
-SD = np.array([0.005, 0.001])
-"""Metres, and metres per metre."""
 
 
-class DepthDrift(Block):
+class DepthDrift(DepthOfBoard):
     """d0 (m) and d1 of each camera."""
 
     name = "depth drift"
-    scope = Scope.CAMERA
-    kinds = frozenset({Kind.DEPTH})
+    sd = np.array([0.005, 0.001])
+    of_alone = True
     known = Fault(
         "depth between recordings",
         lambda t: (
@@ -39,27 +35,11 @@ class DepthDrift(Block):
 
     @classmethod
     def applies(cls, setup: Setup) -> bool:
-        return any(prior.time_of_flight for prior in setup.priors) and bool(setup.obs.alone.any())
+        return super().applies(setup) and bool(setup.obs.alone.any())
 
     @property
     def parameters(self) -> tuple[str, ...]:
         return ("drift of the depth since the intrinsic recording", "its growth with the distance")
 
-    def prior(self) -> BlockPrior:
-        obs, free = self.setup.obs, np.zeros((self.sets, self.n), bool)
-        for c, prior in enumerate(self.setup.priors):
-            seen = bool(np.any(obs.has_depth[obs.alone & (obs.camera == c)]))
-            free[c] = seen and prior.held == "nothing" and prior.time_of_flight
-        information = np.diag(np.tile(SD**-2.0, self.sets))
-        return BlockPrior(np.zeros(self.size), information, free.ravel(), np.zeros(self.size, bool))
-
-    def derivative(self, look: Look) -> FloatArray:
-        assert look.slope is not None  # rows of depth have it
-        by_error = np.where(look.sight.obs.alone[:, None], -1 / look.slope, 0.0)
-        return np.stack([by_error, by_error * (look.depth_m + look.left[..., 0])], axis=-1)[..., None, :]
-
-
-def drift_m(own: FloatArray, alone: BoolArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """True less reported depth (n, N), metres, and its slope, by the parameters (2,) of a camera; of views, `alone` (n,) or not."""
-    by_view = np.where(alone[:, None], own, 0.0)
-    return by_view[:, :1] + by_view[:, 1:] * depth_m, np.broadcast_to(by_view[:, 1:], depth_m.shape)
+    def views(self) -> BoolArray:
+        return self.setup.obs.alone

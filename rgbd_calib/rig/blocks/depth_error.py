@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -49,6 +50,8 @@ class DepthErrorBlock(KeepsFunctions, Block):
 
     scope = Scope.CAMERA
     kinds = frozenset({Kind.DEPTH, Kind.WALL})
+    of_alone: ClassVar[bool] = False
+    """It corrects the views of intrinsic recordings and no others."""
 
     @abstractmethod
     def error(
@@ -68,6 +71,8 @@ class DepthErrorBlock(KeepsFunctions, Block):
         own = look.values.get(self.name, np.zeros(self.n))
         out = self.by_parameters(look.camera, own, look.pixels_px, look.depth_m, look.left[..., 0])
         out /= -look.slope[..., None]
+        if self.of_alone:
+            out *= look.sight.obs.alone[:, None, None]
         return out[..., None, :]
 
 

@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from rgbd_calib.geometry.linear import BoolArray
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import BlockPrior, Kind
 from rgbd_calib.rig.blocks.depth_error import LinearDepthErrorBlock
 from rgbd_calib.rig.setup import Setup
-
-SD = np.array([0.002, 0.0005])
-"""Metres, and metres per metre."""
 
 
 class DepthOfBoard(LinearDepthErrorBlock):
@@ -25,6 +23,8 @@ class DepthOfBoard(LinearDepthErrorBlock):
 
     name = "depth of board"
     kinds = frozenset({Kind.DEPTH})
+    sd = np.array([0.002, 0.0005])
+    """Prior: metres, and metres per metre."""
 
     @classmethod
     def applies(cls, setup: Setup) -> bool:
@@ -34,12 +34,16 @@ class DepthOfBoard(LinearDepthErrorBlock):
     def parameters(self) -> tuple[str, ...]:
         return ("offset of the depth on boards", "its growth with the distance")
 
+    def views(self) -> BoolArray:
+        """(V,) bool, those that it corrects."""
+        return np.ones(len(self.setup.obs.camera), bool)
+
     def prior(self) -> BlockPrior:
         obs, free = self.setup.obs, np.zeros((self.sets, self.n), bool)
         for c, prior in enumerate(self.setup.priors):
-            seen = bool(np.any(obs.has_depth[obs.camera == c]))
+            seen = bool(np.any(obs.has_depth[self.views() & (obs.camera == c)]))
             free[c] = seen and prior.held == "nothing" and prior.time_of_flight
-        information = np.diag(np.tile(SD**-2.0, self.sets))
+        information = np.diag(np.tile(self.sd**-2.0, self.sets))
         return BlockPrior(np.zeros(self.size), information, free.ravel(), np.zeros(self.size, bool))
 
     def basis(self, camera: int, pixels_px: FloatArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray]:
