@@ -168,7 +168,7 @@ class Problem:
         own, w = self.setup, self.weights
         out = np.zeros((self.n_board_units + own.walls.n, self.unit_size))
         out[self.n_board_units :, 0] = w.robust_distance * (w.distance_factor * own.walls.sd_m) ** -2.0
-        out[self.n_board_units :, 1:3] = own.params.wall_tilt_sd_rad**-2.0
+        out[self.n_board_units :, 1:3] = w.wall_tilt[own.walls.camera, None] ** -2.0
         out[self.n_board_units :, 3:6] = w.wall_bend[own.walls.camera, None] ** -2.0
         return out
 
@@ -246,13 +246,13 @@ class Problem:
             mine = np.flatnonzero(walls.camera == c)
             if not len(mine):
                 continue
-            tape = state.values["tape"][c, 0] if "tape" in self.parts else 0.0
+            tape, tilt = (state.values[name][c] if name in self.parts else 0.0 for name in ("tape", "wall tilt"))
             at, z, rays = walls.pixels_px[mine], walls.depth_m[mine], self.wall_rays[mine]
             distance_m = walls.written_m[mine] + tape
-            ahead, by_wall = state.walls.ahead(mine, distance_m, walls.tilts[mine], np.nan_to_num(rays))
+            ahead, by_wall = state.walls.ahead(mine, distance_m, walls.tilts[mine] + tilt, np.nan_to_num(rays))
             corrected, slope = self.corrected(state, c, at, z, Kind.WALL)
             seen = walls.seen[mine] & np.isfinite(rays[..., 0])
-            look = terms.look_at_walls(c, at, z, ahead, by_wall[..., 0], slope, corrected, seen)
+            look = terms.look_at_walls(c, at, z, ahead, by_wall, slope, corrected, seen)
             yield mine, replace(look, values=self._of_depth(state, c)), (by_wall / slope[..., None])[:, :, None]
 
     def corrected(

@@ -55,6 +55,8 @@ DISTANCE_DOF = 1.0
 """Of what was said of the walls' distances, or assumed: known to a factor of two or three."""
 BEND_DOF = 1.0
 """Of what is usual of the walls' bends."""
+TILT_DOF = 1e-4
+"""Of what is usual of how far each wall is from where the others are: cameras on a rail have them all alike."""
 DISTANCE_SIGMAS = 2.0
 """A written distance that is farther off counts less: a dozen of them do not average a slip out."""
 SIZE_STEP = 0.6
@@ -69,7 +71,7 @@ MIN_REDUNDANCY = 10.0
 
 def reweighted(problem: Problem, state: State, covariance: Covariance) -> Weights:
     """The weights that the residuals at `state` give, by the covariance under the present ones."""
-    obs, old, n_cameras = problem.obs, problem.weights, len(problem.setup.cameras)
+    obs, old, n_cameras, own = problem.obs, problem.weights, len(problem.setup.cameras), problem.setup.params
     pixel, depth = problem.residuals(state)
     w_pixel, w_depth = old.scales(obs)
     r2, r3 = (pixel * w_pixel[..., None]).reshape(len(pixel), -1), depth * w_depth
@@ -102,7 +104,8 @@ def reweighted(problem: Problem, state: State, covariance: Covariance) -> Weight
         ratio_pixel=ratios[0],
         ratio_depth=ratios[1],
         sizes=_sizes(problem, state, covariance),
-        wall_bend=_bends(problem, state, covariance),
+        wall_tilt=_wall_sizes(problem, state, covariance, slice(1, 3), old.wall_tilt, own.wall_tilt_sd_rad, TILT_DOF),
+        wall_bend=_wall_sizes(problem, state, covariance, slice(3, 6), old.wall_bend, own.wall_bend, BEND_DOF),
         distance_factor=distance_factor,
         robust_distance=robust_distance,
     )
@@ -155,14 +158,17 @@ def _distance_weights(problem: Problem, state: State, covariance: Covariance) ->
     return float(np.sqrt(factor2)), robust
 
 
-def _bends(problem: Problem, state: State, covariance: Covariance) -> FloatArray:
-    """Size (C,) of the walls' bends, a variance component of each camera."""
-    walls, size2, usual = problem.setup.walls, problem.weights.wall_bend**2, problem.setup.params.wall_bend
-    bend, left = state.walls.values[:, 3:], np.einsum("wkk->wk", covariance.of_units[problem.n_board_units :, 3:6, 3:6])
+def _wall_sizes(
+    problem: Problem, state: State, covariance: Covariance, part: slice, sizes: FloatArray, usual: float, dof: float
+) -> FloatArray:
+    """Size (C,) of some of the walls' own unknowns, a variance component of each camera."""
+    walls, size2 = problem.setup.walls, sizes**2
+    values = state.walls.values[:, part]
+    left = np.einsum("wkk->wk", covariance.of_units[problem.n_board_units :, part, part])
     for c in np.unique(walls.camera):
         mine = walls.camera == c
         told = max(float(np.sum(1 - left[mine] / size2[c])), 0.0)
-        size2[c] = (BEND_DOF * usual**2 + float(np.sum(bend[mine] ** 2))) / (BEND_DOF + told)
+        size2[c] = (dof * usual**2 + float(np.sum(values[mine] ** 2))) / (dof + told)
     return np.asarray(np.sqrt(size2))
 
 

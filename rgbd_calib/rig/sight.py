@@ -67,6 +67,8 @@ class Look:
     """(n, N), of the corrected by the reported depth; of depth."""
     by_distance: FloatArray | None = None
     """(n, N), by the distance of the wall; of walls."""
+    by_tilts: FloatArray | None = None
+    """(n, N, 2), by the tilts of the wall; of walls."""
     values: Mapping[str, FloatArray] = field(default_factory=dict)
     """The camera's unknowns at this state, by block, of those of depth."""
 

@@ -121,12 +121,15 @@ def look_at_plane(
 
 
 def look_at_walls(
-    c: int, pixels_px: FloatArray, depth_m: FloatArray, ahead_m: FloatArray, by_distance: FloatArray, slope: FloatArray,
+    c: int, pixels_px: FloatArray, depth_m: FloatArray, ahead_m: FloatArray, by_wall: FloatArray, slope: FloatArray,
     corrected_m: FloatArray, seen: BoolArray,
 ) -> Look:  # fmt: skip
-    """Rows of the cells of walls, (n, N) each; `ahead_m` is where the wall is."""
+    """Rows of the cells of walls, (n, N) each; `ahead_m` is where the wall is, `by_wall` (n, N, 6) its derivative by the wall."""
     left = np.where(seen, (ahead_m - corrected_m) / slope, 0.0)
-    return Look(Kind.WALL, c, pixels_px, depth_m, left[..., None], slope=slope, by_distance=by_distance / slope)
+    by_distance, by_tilts = by_wall[..., 0] / slope, by_wall[..., 1:3] / slope[..., None]
+    return Look(
+        Kind.WALL, c, pixels_px, depth_m, left[..., None], slope=slope, by_distance=by_distance, by_tilts=by_tilts
+    )
 
 
 def pixels_of(sight: Sight, lens: Intrinsics, values: FloatArray) -> FloatArray:

@@ -66,6 +66,8 @@ class Weights:
     """How good the walls' distances are, over what was said of them."""
     robust_distance: FloatArray
     """(W,), 0 ... 1."""
+    wall_tilt: FloatArray
+    """(C,), deviation of each wall's tilts from those of all walls of the camera, rad."""
     wall_bend: FloatArray
     """(C,), deviation of each of the walls' bends, a share of the distance."""
     sizes: Mapping[str, float]
@@ -80,7 +82,8 @@ class Weights:
         sigma, k = np.full(n_cameras, params.sigma_2d_px), np.full(n_cameras, params.k_depth_per_m)
         one, ratios = np.ones((V, N)), (np.ones(N_PIXEL), np.ones(N_DEPTH))
         Q = np.zeros((V, 2 * N, N_PIXEL)), np.zeros((V, N, N_DEPTH))
-        k_wall, bend = np.full(n_cameras, params.k_wall_per_m), np.full(n_cameras, params.wall_bend)
+        of_walls = params.k_wall_per_m, params.wall_tilt_sd_rad, params.wall_bend
+        k_wall, tilt, bend = (np.full(n_cameras, usual) for usual in of_walls)
         return cls(
             sigma,
             k,
@@ -94,6 +97,7 @@ class Weights:
             np.ones(walls.seen.shape),
             1.0,
             np.ones(walls.n),
+            tilt,
             bend,
             dict(sizes),
         )
@@ -141,7 +145,7 @@ class Weights:
         names = "sigma_2d_px", "k_depth", "ratio_pixel", "ratio_depth"
         ratios = [getattr(self, n) / getattr(other, n) for n in (*names, "k_wall")]
         ratios.append(np.array([(self.distance_factor / other.distance_factor) ** SIZES_COUNT]))
-        ratios.append((self.wall_bend / other.wall_bend) ** SIZES_COUNT)
+        ratios += [(getattr(self, n) / getattr(other, n)) ** SIZES_COUNT for n in ("wall_tilt", "wall_bend")]
         ratios.append(np.array([1.0, *(size / other.sizes[name] for name, size in self.sizes.items())]) ** SIZES_COUNT)
         return max(float(np.max(np.abs(np.log(ratio)))) for ratio in ratios)
 

@@ -123,6 +123,22 @@ def test_the_bend_of_walls_is_found_and_estimated_in_size():
     assert 0.003 < np.abs(bends[0.004][0]).mean() < 0.005
 
 
+@pytest.mark.parametrize(("common", "single"), [(0.0, 0.0), (0.02, 0.0), (0.0, 0.02)])
+def test_how_far_walls_are_from_square_is_estimated(common, single):
+    signs = iter(np.tile([1.0, -1.0], 8))
+
+    def off_m(z_m, rays):
+        a = common + single * next(signs)
+        return z_m / (1 - a * rays[..., 0]) - z_m
+
+    views, priors, T, walls = with_walls(off_m)
+    result = bundle(views, sv.BOARD, priors, T, "C1", walls=walls)
+    size, of_all = result.problem.weights.wall_tilt[1], result.state.values["wall tilt"][1]
+    assert size < 0.0006 if not single else 0.009 < size < 0.02  # RMS of a and b, of which a alone is there
+    sd = np.sqrt(np.diag(result.covariance)[result.index("wall tilt", "C2")])
+    assert np.all(np.abs(of_all - [common, 0.0]) < 3 * sd) and np.all(sd < (0.003 if not single else 0.01))
+
+
 def test_simulated_sensors_say_how_they_measure():
     for sensor, kind in (("tof", "time_of_flight"), ("stereo", "stereo"), ("structured-light", None)):
         params = SimulationParams(cameras=2, sensor=sensor)

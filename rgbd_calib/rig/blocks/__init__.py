@@ -28,6 +28,7 @@ from rgbd_calib.rig.blocks.pixel_field import PixelField
 from rgbd_calib.rig.blocks.registration import Registration
 from rgbd_calib.rig.blocks.tape import Tape
 from rgbd_calib.rig.blocks.units import Boards, WallPlanes
+from rgbd_calib.rig.blocks.wall_tilt import WallTilt
 
 ESTIMATED: tuple[type[Block], ...] = (
     CameraPoses,
@@ -40,6 +41,7 @@ ESTIMATED: tuple[type[Block], ...] = (
     DepthTilt,
     Registration,
     Tape,
+    WallTilt,
     BoardBow,
     BoardPrint,
     BackSheet,
