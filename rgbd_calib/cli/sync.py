@@ -133,5 +133,5 @@ def clock_line(name: str, clock: Clock, reference: str) -> str:
     drift = f"drift {clock.drift_ppm:+.1f} ± {clock.drift_sd_ppm:.1f} ppm"
     text = f"{name}: clock: " + ("reference" if name == reference else f"{offset}, {drift}")
     if clock.depth_delay_sd_s > 0:
-        text += f", depth {1e3 * clock.depth_delay_s:+.2f} ± {1e3 * clock.depth_delay_sd_s:.2f} ms after colour"
+        text += f", depth {1e3 * clock.depth_delay_s:+.3f} ± {1e3 * clock.depth_delay_sd_s:.3f} ms after colour"
     return text + (f", readout {1e3 * clock.readout_s:.1f} ms" if clock.readout_s else "")

@@ -48,7 +48,7 @@ class BandedEquations(NormalEquations):
         parts = of_windows.reshape(self.n_windows, N_KNOTS, SIZE, *of_windows.shape[2:])
         for k in range(N_KNOTS):
             out[k : k + self.n_windows] += parts[:, k]
-        return out.reshape(-1, *of_windows.shape[2:])
+        return out.reshape(SIZE * self.n_knots, *of_windows.shape[2:])
 
     def windows(self, of_knots: FloatArray) -> FloatArray:
         """Values (windows, 24, ...) of each window, of those of the knots (6 K, ...)."""

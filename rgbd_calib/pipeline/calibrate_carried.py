@@ -16,6 +16,7 @@ from rgbd_calib.pipeline.calibrate import Calibration
 from rgbd_calib.pipeline.carried_calibration import CarriedSolution, clock_quality, solve_carried
 from rgbd_calib.pipeline.checked_views import Views, reference_of
 from rgbd_calib.pipeline.config import Config
+from rgbd_calib.pipeline.depth_cameras import by_device, joined, split
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
 from rgbd_calib.pipeline.estimators import rig_of_bundle
 from rgbd_calib.pipeline.provenance import provenance_of
@@ -46,26 +47,25 @@ def calibrate_carried(
     ConfigError, CalibrationError
         See :func:`rgbd_calib.pipeline.carried_calibration.solve_carried`.
     """
-    board, cameras = board_of(recording), list(recording.cameras)
-    reference = reference_of(config, cameras)
+    board, recording = board_of(recording), split(recording)
+    reference = reference_of(config, [c for c, info in recording.cameras.items() if info.mount is None])
     detections = detections or detect(recording, config.detect, workers, progress)
     own = solve_carried(recording, config, detections, reference, intrinsics, depth_bias, workers, progress)
     solved, boards = own.solution, own.board_poses()
     rig = rig_of_bundle(solved, reference)
-    rig = replace(rig, cameras={c: replace(camera, clock=own.clocks[c]) for c, camera in rig.cameras.items()})
+    rig = replace(rig, cameras={c: replace(camera, clock=own.clocks.get(c)) for c, camera in rig.cameras.items()})
     named = tuple(replace(p, view=replace(p.view, frame=frame_name(p))) for p in own.placed)
-    association = replace(own.start.association, views=own.placed)
-    views = Views(detections, own.lenses, own.depth, own.filtered, association)
+    views = Views(detections, own.lenses, own.depth, own.filtered, own.start.association)
     data = correspond(named, board, views.given)
     residuals, joint = details.residuals_of_bundle(solved, board), details.joint_of_bundle(solved)
-    with_depth = [name for name in cameras if recording.depth_files[name]]
+    with_depth = [name for name in recording.cameras if recording.depth_files[name]]
     corners_m = np.concatenate([se3.transform(T, board.corners_m()) for T in boards.values()])
     expected = details.expectation(rig, joint, corners_m, with_depth)
     quality = replace(
         with_views(bundle_quality(solved), recording, views, own.placed, None),
         method=config.method,
         carried=clock_quality(own, reference),
-        expected_alignment=expected,
+        expected_alignment=expected and replace(expected, pairs=by_device(expected.pairs)),
         board=replace(board, shape=solved.board_shape),
         depth_bias_samples=own.depth.samples,
         self_check=_self_check(own, residuals, detections, board, expected, config),
@@ -77,7 +77,7 @@ def calibrate_carried(
         "intrinsics": own.lenses.origin,
         "depth_bias": own.depth.origin,
     }
-    rig = replace(rig, quality=quality, provenance=provenance)
+    rig = replace(joined(rig, recording.cameras, joint), quality=quality, provenance=provenance)
     return Calibration(rig, views, named, data, boards, residuals, joint, None)
 
 

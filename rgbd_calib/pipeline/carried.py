@@ -13,6 +13,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import Recording
 from rgbd_calib.pipeline.config import Config
+from rgbd_calib.pipeline.planes_of_depth import with_depth_cameras
 from rgbd_calib.rig.motion.estimate import StampedView
 from rgbd_calib.rig.motion.setup import ClockPrior
 from rgbd_calib.rig.motion.start import Track, first_offsets
@@ -38,7 +39,7 @@ class CarriedStart:
     first_s: dict[str, float]
     T_world_color: dict[str, FloatArray]
     association: AssociationResult
-    """Of the views in time slots."""
+    """Of these views."""
     left_out: dict[tuple[str, str], str]
     """Why, by (camera, frame)."""
     remarks: tuple[str, ...]
@@ -52,12 +53,16 @@ def stamps_s(recording: Recording, camera: str) -> tuple[dict[str, tuple[float, 
     ConfigError
         No stamps, a frame without one, or a clock that jumps.
     """
-    path, frames = recording.path / camera / "timestamps.csv", list(recording.color_files[camera])
+    mount = recording.cameras[camera].mount
+    path = recording.path / (mount.camera if mount else camera) / "timestamps.csv"
+    frames = list(recording.color_files[camera] or recording.depth_files[camera])
     known = recording.timestamps_us(camera)
+    if mount is not None:  # all its images are of depth's instant
+        known = {f: (d if np.isfinite(d) else c,) * 2 for f, (c, d) in known.items()}
     missing = [f for f in frames if f not in known or not np.isfinite(known[f][0])]
     if missing:
         raise ConfigError(
-            f"{path}: a colour timestamp of each of {len(frames)} frames expected, none of {len(missing)} found ({missing[0]}, "
+            f"{path}: a {'depth' if mount else 'colour'} timestamp of each of {len(frames)} frames expected, none of {len(missing)} found ({missing[0]}, "
             "...). Frames of cameras that run free say nothing without: record with timestamps, or take the frames out"
         )
     table = 1e-6 * np.array([known[f] for f in frames])
@@ -106,7 +111,8 @@ def start_of(
         stamps[c], remark = stamps_s(recording, c)
         remarks += [remark] if remark else []
     mine = [v for v in views if v.camera in cameras]
-    blind = [c for c in cameras if not any(v.camera == c for v in mine)]
+    seeing = [c for c in cameras if recording.color_files[c]]
+    blind = [c for c in seeing if not any(v.camera == c for v in mine)]
     if blind:
         raise CalibrationError(
             f"{', '.join(blind)}: the board was found in no image. Carry it where this camera sees it"
@@ -115,20 +121,23 @@ def start_of(
     moves = [
         board.T_face_board(back, turned) for back in _either(board.two_sided) for turned in _either(board.symmetric)
     ]
-    tracks = {c: _track(posed, c, stamps[c]) for c in cameras}
+    beside = {c: mount.camera for c in cameras if (mount := recording.cameras[c].mount) is not None}
+    tracks = {c: _track(posed, c, stamps[c]) for c in cameras if c not in beside}
     offsets = first_offsets(tracks, reference, moves)
+    offsets |= {c: offsets[color] for c, color in beside.items()}
     times = np.array([stamps[p.view.camera][p.view.frame][0] + offsets[p.view.camera] for p in posed])
     slots = _slots(posed, times)
     if T_world_color is None:
-        association = associate(slots, board, reference, cameras, config.association)
+        association = associate(slots, board, reference, seeing, config.association)
     else:
         poses = {c: np.asarray(T_world_color[c]) for c in cameras}
         placed, dropped = label_views(slots, board, poses, config.association)
         association = AssociationResult(placed, poses, dropped, (), reference)
     read, left_out = _read_alike(posed, times, association, slots, board, moves)
-    stamped = tuple(StampedView(p, *stamps[p.view.camera][p.view.frame]) for p in read)
-    first = {c: next(iter(own.values()))[0] for c, own in stamps.items()}
-    clocks = {c: ClockPrior(Clock(offsets[c])) for c in cameras}
+    association = with_depth_cameras(replace(association, views=tuple(read)), recording, lenses, biases, board, config)
+    stamped = tuple(StampedView(p, *stamps[p.view.camera][p.view.frame]) for p in association.views)
+    first = {c: next(iter(stamps[beside.get(c, c)].values()))[0] for c in cameras}
+    clocks = {c: ClockPrior(Clock(offsets[c]), beside=beside.get(c, "")) for c in cameras}
     return CarriedStart(stamped, clocks, first, association.T_world_color, association, left_out, tuple(remarks))
 
 

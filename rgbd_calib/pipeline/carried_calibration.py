@@ -57,7 +57,8 @@ class CarriedSolution:
         return tuple(name for _, name in self._in_time())
 
     def _in_time(self) -> list[tuple[float, str]]:
-        offset_s = {camera: clock.offset_s for camera, clock in self.clocks.items()}
+        offset_s = {c: own.start.offset_s for c, own in self.start.clocks.items()}
+        offset_s |= {c: clock.offset_s for c, clock in self.clocks.items()}
         return sorted((v.color_s + offset_s[v.placed.view.camera], frame_name(v.placed)) for v in self.start.views)
 
 
@@ -96,7 +97,8 @@ def solve_carried(
     solved = estimate(
         start.views, alone, board, priors, start.clocks, start.first_s, poses, reference, config.bundle, walls
     )
-    return CarriedSolution(solved, start, lenses, depth, filtered, {c: clock_of(solved, c) for c in cameras})
+    clocks = {c: clock_of(solved, c) for c, info in recording.cameras.items() if info.mount is None}
+    return CarriedSolution(solved, start, lenses, depth, filtered, clocks)
 
 
 def check_possible(recording: Recording, config: Config) -> None:
@@ -105,7 +107,7 @@ def check_possible(recording: Recording, config: Config) -> None:
     Raises
     ------
     ConfigError
-        Another method than bundle, free structure, a selection of frames, unregistered depth, or frames without timestamps.
+        Another method than bundle, free structure, a selection of frames, or frames without timestamps.
     """
     where = f"{recording.path / 'dataset.yaml'}: synchronous is false"
     if config.method != "bundle" or config.bundle.structure == "free":
@@ -117,12 +119,6 @@ def check_possible(recording: Recording, config: Config) -> None:
     if config.max_views is not None:
         raise ConfigError(
             f"{where}: all views of the carried board expected, a selection of {config.max_views} found. Leave it out"
-        )
-    mounted = [name for name, info in recording.cameras.items() if info.mount is not None]
-    if mounted:
-        raise ConfigError(
-            f"{where}: depth registered to colour expected, depth with its own geometry found ({', '.join(mounted)}). Calibrate it "
-            "from still views first and register it with `rgbd-calib correct`"
         )
     for camera in recording.cameras:
         stamps_s(recording, camera)

@@ -10,9 +10,10 @@ import numpy as np
 
 from rgbd_calib.errors import CalibrationError, ConfigError
 from rgbd_calib.io.recording import Recording
-from rgbd_calib.pipeline import depth_cameras, frame_selection
+from rgbd_calib.pipeline import frame_selection
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.detection import Detections, Progress, board_of, detect, silent
+from rgbd_calib.pipeline.planes_of_depth import with_depth_cameras
 from rgbd_calib.pipeline.prepare import (
     DepthSource,
     IntrinsicsSource,
@@ -22,7 +23,7 @@ from rgbd_calib.pipeline.prepare import (
     resolve_intrinsics,
 )
 from rgbd_calib.pipeline.workers import Workers
-from rgbd_calib.types import Board, DepthBias, PlacedView, PosedView, RigCamera, unposed
+from rgbd_calib.types import PlacedView, RigCamera, unposed
 from rgbd_calib.views.association import AssociationResult, associate
 from rgbd_calib.views.board_pose import pose_view
 from rgbd_calib.views.depth_scale import check_axis, check_depth_scale
@@ -88,7 +89,7 @@ def prepare_views(
     check_axis(posed, board)
     seeing = [name for name in cameras if recording.color_files[name]]
     association = associate(posed, board, reference, seeing, config.association)
-    association = _with_depth_cameras(association, recording, lenses, biases, board, config)
+    association = with_depth_cameras(association, recording, lenses.intrinsics, biases, board, config)
     association, selection = frame_selection.select(association, lenses, depth, recording, board, config)
     return Views(detections, lenses, depth, filtered, association, selection)
 
@@ -103,38 +104,6 @@ def _need_depth(recording: Recording, detections: Detections) -> None:
                 "Look at one: is it empty, of another camera, or the board out of range? If the camera has no depth, take its depth "
                 "images out"
             )
-
-
-def _with_depth_cameras(
-    association: AssociationResult,
-    recording: Recording,
-    lenses: IntrinsicsSource,
-    biases: dict[str, DepthBias],
-    board: Board,
-    config: Config,
-) -> AssociationResult:
-    """With the depth cameras that see no corners: where they are thought to be, and their depth of the board."""
-    mounted = depth_cameras.without_corners(recording)
-    if not mounted:
-        return association
-    if config.method != "bundle":
-        raise ConfigError(
-            f"{recording.path}: depth of {', '.join(m.camera for m in mounted.values())} is not registered to colour, and has no "
-            f"infrared images; method {config.method} needs registered depth. Take method bundle, or register it first, with "
-            "`rgbd-calib calibrate` and `rgbd-calib correct`"
-        )
-    poses = dict(association.T_world_color)
-    for name, mount in mounted.items():
-        assert mount.T_color_depth is not None  # seen to with the lenses
-        poses[name] = poses[mount.camera] @ mount.T_color_depth
-    poses = {name: poses[name] for name in recording.cameras}
-    read = depth_cameras.predicted_views(association.views, recording, lenses.intrinsics, poses, board)
-    on_plane = filter_planes([p.view for p in read], lenses.intrinsics, biases, config.plane_filter, config.seed)
-    views = [replace(p, view=view) for p, view in zip(read, on_plane.views, strict=True)]
-    posed = [PosedView(p.view, p.T_color_board @ board.T_face_board(p.back, p.turned), 0.0) for p in views]
-    check_depth_scale(posed, board, biases, config.bundle.bias_scale_sd)
-    check_axis(posed, board)
-    return replace(association, views=(*association.views, *views), T_world_color=poses)
 
 
 def reference_of(config: Config, cameras: Sequence[str]) -> str:

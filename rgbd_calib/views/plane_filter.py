@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,8 +32,8 @@ class PlaneFilterResult:
 
 def filter_planes(
     views: Sequence[BoardView],
-    intrinsics: dict[str, Intrinsics],
-    biases: dict[str, DepthBias],
+    intrinsics: Mapping[str, Intrinsics],
+    biases: Mapping[str, DepthBias],
     params: PlaneFilterParams | None = None,
     seed: int = 0,
 ) -> PlaneFilterResult:

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from synthetic_views import without_depth
 
 from rgbd_calib.geometry import se3
+from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.rig.motion.estimate import StampedView, clock_of, estimate, problem_of
 from rgbd_calib.rig.motion.setup import ClockPrior
-from rgbd_calib.rig.setup import BundleParams, CameraPrior
+from rgbd_calib.rig.setup import BundleParams, CameraPrior, MountPrior
 from rgbd_calib.simulation.clocks import WaveParams
 from rgbd_calib.simulation.poses import looks_at_back
 from rgbd_calib.simulation.session import draw_scene
 from rgbd_calib.simulation.wave import WaveSession, film_wave
-from rgbd_calib.types import Clock, PlacedView
+from rgbd_calib.types import BoardView, Clock, DepthBias, PlacedView
 
+DEPTH_AT = np.array([0.010, -0.008, 0.004, 0.052, -0.002, 0.001])
 OFF_S = 0.004
 """What the correlation of motions leaves of an offset."""
 
@@ -47,15 +52,49 @@ def carried(session: WaveSession, rng: np.random.Generator, every: int = 1) -> d
     }
 
 
+def with_depth_cameras(given: dict[str, object], session: WaveSession, rng: np.random.Generator) -> dict[str, object]:
+    """The same with depth that is not registered: read at a depth camera's own instant where the stated geometry has the corners."""
+    out, board = dict(given), session.board
+    views = [replace(v, placed=replace(v.placed, view=without_depth(v.placed.view))) for v in given["carried"]]
+    lens, T_true = Intrinsics(512, 424, 366.0, 367.0, 255.0, 209.0), se3.retract(np.eye(4), DEPTH_AT)
+    T_stated = T_true @ se3.retract(np.eye(4), np.array([0.004, 0.003, -0.002, 0.003, -0.002, 0.001]))
+    for own in list(views):
+        view, name = own.placed.view, f"{own.placed.view.camera}/depth"
+        T = se3.inverse(T_stated) @ own.placed.T_color_board
+        pixels = lens.project(se3.transform(T, own.placed.points_m(board)))
+        color, clock = session.truth.cameras[view.camera], session.clocks[view.camera]
+        at_s = session.t_s[view.camera][view.frame] + clock.depth_delay_s
+        plane = se3.inverse(color.T_world_color @ T_true) @ session.motion.poses(np.array([at_s]))[0]
+        plane = plane @ board.T_face_board(own.placed.back, False)
+        z = (plane[:3, 3] @ plane[:3, 2]) / (lens.rays(pixels) @ plane[:3, 2])
+        z = z + rng.normal(0, 0.7e-3, len(z)) * z**2
+        seen = BoardView(name, view.frame, view.ids, pixels, z, np.full(len(z), 20), True)
+        views.append(StampedView(replace(own.placed, view=seen, T_color_board=T), own.color_s, own.color_s))
+    out["carried"] = views
+    for key in ("priors", "clocks", "first_s", "T_world_color"):
+        out[key] = dict(given[key])
+    for c in session.truth.cameras:
+        mount = MountPrior(c, np.repeat([0.03, 0.010], 3))
+        bias = DepthBias((0.0,), 0.5, 4.0, 0.0, np.array([[1e-10]]))
+        out["priors"][f"{c}/depth"] = CameraPrior(lens, None, False, bias, same_sensor=True, mount=mount)
+        out["clocks"][f"{c}/depth"] = replace(given["clocks"][c], beside=c)
+        out["first_s"][f"{c}/depth"] = given["first_s"][c]
+        out["T_world_color"][f"{c}/depth"] = given["T_world_color"][c] @ T_stated
+    return out
+
+
 def filmed(seed: int, n: int = 2, **wave: float) -> tuple[WaveSession, np.random.Generator]:
     rng = np.random.default_rng(seed)
     scene = draw_scene(n, "arc", 0, 0, rng)
     return film_wave(scene, WaveParams(**{"seconds": 6.0, "offset_s": 0.5, **wave}), rng), rng
 
 
-def test_derivatives_agree_with_differences():
+@pytest.mark.parametrize("registered", [True, False])
+def test_derivatives_agree_with_differences(registered):
     session, rng = filmed(0, seconds=1.5, readout_s=0.02)
-    problem, state, _, _ = problem_of(**carried(session, rng, every=6), params=BundleParams())
+    given = carried(session, rng, every=6)
+    given = given if registered else with_depth_cameras(given, session, rng)
+    problem, state, _, _ = problem_of(**given, params=BundleParams())
     n_units = problem.pattern.n_units
     state = problem.moved(state, rng.normal(0, 1, problem.n_globals) * 1e-4, np.zeros((n_units, 24)))
     knots = rng.normal(0, 1, (problem.own.n_windows + 3, 6))
@@ -89,6 +128,24 @@ def test_the_gradient_of_the_cost_is_that_of_the_equations():
     up, down = (problem.cost(problem.moved(state, sign * step, sign * units)) for sign in (1, -1))
     expected = eq.gradient @ step + np.sum(eq.knots(eq.unit_gradient) * knots.ravel())
     assert (up - down) / 2 == pytest.approx(expected, rel=1e-4)
+
+
+def test_the_delay_of_depth_that_is_not_registered_is_found():
+    errors, nees = [], []
+    for seed in range(3):
+        session, rng = filmed(seed, seconds=3.0, rate_hz=10.0)
+        given = with_depth_cameras(carried(session, rng), session, rng)
+        found = estimate(**given, params=BundleParams(hold=("depth field", "corner offsets")))
+        for c, truth in session.clocks.items():
+            clock = clock_of(found, c)
+            errors.append((clock.depth_delay_s - truth.depth_delay_s) / clock.depth_delay_sd_s)
+            assert clock.depth_delay_sd_s < 0.003
+            at = session.truth.cameras[c].T_world_color @ se3.retract(np.eye(4), DEPTH_AT)
+            left = se3.difference(found.T_world_color(f"{c}/depth"), at)
+            nees.append(left @ np.linalg.solve(found.pose_covariance(f"{c}/depth"), left) / 6)
+    assert 0.3 < np.mean(nees) < 2.0
+    assert 0.2 < np.mean(np.square(errors)) < 2.5  # six values of chi^2 over its degrees of freedom
+    assert np.max(np.abs(errors)) < 3.5
 
 
 @pytest.mark.parametrize(

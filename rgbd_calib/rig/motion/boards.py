@@ -67,10 +67,12 @@ class CarriedBoards(Boards):
         out[stands, :, :, :6] = by_motion[stands]
         moving = np.flatnonzero(~stands)
         f = frame[moving]
-        if look.kind is Kind.DEPTH:
-            assert isinstance(look, DelayedLook)
+        if isinstance(look, DelayedLook):
             out[moving] = look.motion_later[moving] @ self._of_depth[0][f, None]
             out[moving] += look.motion_seen[moving] @ self._of_depth[1][f, None]
+            return out
+        if look.kind is Kind.DEPTH:
+            out[moving] = by_motion[moving] @ self._of_depth[0][f, None]
             return out
         out[moving] = by_motion[moving] @ self._of_color[0][f, None]
         sight = look.sight

@@ -1,19 +1,21 @@
 """The unknowns of time: clocks, the delay of depth against colour, and the readout of a rolling shutter.
 
 A stamp s of camera l is of the instant t = s + offset_l + 1e-6 drift_l (s - s_l), s_l its first; of the middle row of its
-colour image, half an exposure after it begins; of depth, t + delay_l. Row v of h rows is exposed readout_l ((v + 1/2) / h - 1/2)
+colour image, half an exposure after it begins; of depth, t + delay_l. A depth camera with a geometry of its own is a camera l of
+its own, whose offset is known beside that of its colour camera: the difference is the delay. Row v of h rows is exposed readout_l ((v + 1/2) / h - 1/2)
 later. The exposure's midpoint, if the stamp is of its beginning, is part of the offset.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
+from dataclasses import replace
 
 import numpy as np
 
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.blocks.block import Block, BlockPrior, Fault, Kind, Scope
-from rgbd_calib.rig.motion.setup import MotionSetup
+from rgbd_calib.rig.motion.setup import DRIFT_OF_DEPTH_SD_PPM, MotionSetup
 from rgbd_calib.rig.motion.sight import DelayedLook, MovingSight, by_time
 from rgbd_calib.rig.sight import Look
 
@@ -65,6 +67,21 @@ class ClockBlock(OfTime):
         sd[own.cameras.index(own.reference)] = 0.0
         return mean, sd
 
+    def prior(self) -> BlockPrior:
+        """Of a depth camera what is known is the difference to its colour camera."""
+        plain, own = super().prior(), self.setup
+        information = plain.information.copy()
+        for c, clock in enumerate(own.clocks):
+            if clock.beside:
+                known = np.diag([clock.delay_sd_s, DRIFT_OF_DEPTH_SD_PPM]) ** 2
+                at, color = self.columns(c), self.columns(own.cameras.index(clock.beside))
+                tie = np.linalg.inv(known)
+                information[np.ix_(at, at)] = tie
+                information[np.ix_(color, color)] += tie
+                information[np.ix_(at, color)] -= tie
+                information[np.ix_(color, at)] -= tie
+        return replace(plain, information=information)
+
     def derivative(self, look: Look) -> FloatArray:
         rate = by_time(look)
         age = look.sight.age_s if isinstance(look.sight, MovingSight) else np.zeros(len(rate))
@@ -92,7 +109,10 @@ class DepthDelay(OfTime):
 
     def means_and_sds(self) -> tuple[FloatArray, FloatArray]:
         mean = np.array([[c.start.depth_delay_s] for c in self.setup.clocks])
-        return mean, np.array([[c.delay_sd_s] for c in self.setup.clocks])
+        return mean, np.array([[0.0 if c.beside else c.delay_sd_s] for c in self.setup.clocks])
+
+    def changes(self, look: Look) -> bool:
+        return super().changes(look) and not self.setup.clocks[look.camera].beside
 
     def derivative(self, look: Look) -> FloatArray:
         return by_time(look, of_depth_alone=True)[..., None]
@@ -110,7 +130,7 @@ class Readout(OfTime):
 
     def means_and_sds(self) -> tuple[FloatArray, FloatArray]:
         mean = np.array([[c.start.readout_s] for c in self.setup.clocks])
-        return mean, np.array([[c.readout_sd_s] for c in self.setup.clocks])
+        return mean, np.array([[0.0 if c.beside else c.readout_sd_s] for c in self.setup.clocks])
 
     def derivative(self, look: Look) -> FloatArray:
         if isinstance(look, DelayedLook):  # it is read where the corner was seen

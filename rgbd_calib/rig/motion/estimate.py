@@ -82,8 +82,9 @@ def problem_of(
     )
     clock = np.array([[c.start.offset_s, c.start.drift_ppm] for c in setup.clocks])
     times = setup.times_s(clock, np.array([[c.start.depth_delay_s] for c in setup.clocks]))
+    seen = np.array([not p.view.predicted for p in moving])
     poses = np.stack([T_world_color[p.view.camera] @ p.T_color_board for p in moving])
-    path = through(times[0], poses, board, knot_s)
+    path = through(times[0][seen], poses[seen], board, knot_s)
     setup = replace(setup, n_windows=path.n_windows)
     T_standing = np.tile(np.eye(4), (len(others), 1, 1))
     for placed, f, shared in zip(views, obs.frame, obs.shared, strict=True):
@@ -134,23 +135,23 @@ def estimate(
 
 
 def clock_of(solution: Solution, camera: str) -> Clock:
-    """What a solution says of a camera's clock."""
-    i, values = solution.cameras.index(camera), solution.state.values
-    sd = np.sqrt(np.maximum(np.diag(solution.covariance), 0.0))
-    at, delay = solution.index("clock", camera), solution.index("depth delay", camera)
+    """What a solution says of a camera's clock, and of the delay of its depth, which may be a camera of its own."""
+    i, values, C = solution.cameras.index(camera), solution.state.values, solution.covariance
+    at = solution.index("clock", camera)
     offset, drift = values["clock"][i]
+    delay_s = delay_var = 0.0
     problem = solution.problem
     assert isinstance(problem, MotionProblem)
-    return Clock(
-        float(offset),
-        float(drift),
-        float(values["depth delay"][i, 0]) if solution.has_depth[i] else 0.0,
-        float(values["readout"][i, 0]),
-        0.0,
-        float(sd[at[0]]),
-        float(sd[at[1]]),
-        float(sd[delay[0]]) if solution.has_depth[i] else 0.0,
-    )
+    beside = [d for d, clock in zip(solution.cameras, problem.own.clocks, strict=True) if clock.beside == camera]
+    if beside:
+        other = solution.index("clock", beside[0])[0]
+        delay_s = values["clock"][solution.cameras.index(beside[0]), 0] - offset
+        delay_var = C[other, other] - 2 * C[other, at[0]] + C[at[0], at[0]]
+    elif solution.has_depth[i]:
+        own = solution.index("depth delay", camera)[0]
+        delay_s, delay_var = values["depth delay"][i, 0], C[own, own]
+    sds = np.sqrt(np.maximum([C[at[0], at[0]], C[at[1], at[1]], delay_var], 0.0)).tolist()
+    return Clock(float(offset), float(drift), float(delay_s), float(values["readout"][i, 0]), 0.0, *sds)
 
 
 def frame_name(placed: PlacedView) -> str:

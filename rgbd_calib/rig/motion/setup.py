@@ -17,6 +17,8 @@ OFFSET_SD_S = 0.050
 """Prior of an offset about where the correlation of the motions puts it, which is good to some ms."""
 DELAY_SD_S = 0.010
 """Prior of the depth's delay against its colour image: half a period of 30 Hz is the most that is usual."""
+DRIFT_OF_DEPTH_SD_PPM = 0.1
+"""Prior of the drift of a depth camera's stamps against those of its colour camera: one quartz."""
 READOUT_SD_S = 0.015
 """Prior of the readout time where the shutter is not known: rolling shutters of 30 Hz take up to 30 ms."""
 
@@ -31,6 +33,8 @@ class ClockPrior:
     delay_sd_s: float = DELAY_SD_S
     readout_sd_s: float = READOUT_SD_S
     """0: a global shutter."""
+    beside: str = ""
+    """Of a depth camera: the colour camera whose clock it has, but for a delay."""
 
 
 @dataclass(frozen=True)
