@@ -36,7 +36,9 @@ LEAST_SEEN = 0.5
 ROUNDS = 2000
 """Of expectation and maximisation, at most."""
 TOLERANCE = 1e-7
-"""Change of the sizes, of the largest, that ends them: they shrink by a few per cent a round, towards 1e-5 of what they are."""
+"""Change of the sizes, of the largest, that ends them: they shrink by a few per cent a round."""
+UNSEEN = 1e-6
+"""The same of the pattern's variance over the noise's in a wall: where there is no pattern, sizes shrink for ever."""
 FILLINGS = 8
 """Rounds in which cells that were not seen take what the pattern has there."""
 
@@ -146,7 +148,9 @@ def _spectra(
         noise = np.mean(left / of_wall, axis=1)
         of_wall = share @ (left / noise[:, None])
         of_wall /= of_wall.mean()
-        if np.abs(sizes - last).max() < TOLERANCE * np.abs(sizes).max():
+        change = np.abs(sizes - last)
+        signal = np.sum((A @ change) * np.abs(A), axis=2) / noise[:, None]  # of each band in each wall
+        if change.max() < TOLERANCE * np.abs(sizes).max() or signal.max() < UNSEEN:
             break
     return sizes, noise, of_wall, posterior
 
