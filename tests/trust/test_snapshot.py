@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -22,7 +23,7 @@ from rgbd_calib.trust.snapshot import Before, camera_motion
 from rgbd_calib.trust.snapshot.camera import CameraMotion
 from rgbd_calib.trust.snapshot.determined import displacement_m, free_directions, working_points
 from rgbd_calib.trust.snapshot.motion import Motion, RowNoise, undrifted
-from rgbd_calib.trust.snapshot.pixels import grey, match_features, similarity, track
+from rgbd_calib.trust.snapshot.pixels import Matches, grey, match_features, similarity, track, whitening
 from rgbd_calib.trust.snapshot.rig import SCENE, SnapshotParams, judge_motions
 from rgbd_calib.trust.snapshot.surfaces import Surface
 from rgbd_calib.types import Rig, RigCamera
@@ -83,6 +84,19 @@ def test_noise_is_unlike_itself_and_texture_is_found_again():
     other = rng.integers(0, 255, (120, 160)).astype(np.uint8)
     found, _ = track(texture, other, at, at)
     assert len(found) == 0
+
+
+def test_a_lonely_edge_tells_nothing_along_itself():
+    rng = np.random.default_rng(2)
+    texture = cv2.GaussianBlur(rng.normal(0, 200, (120, 160)), (0, 0), 1.5)
+    edge = np.where(np.arange(160) < 80, 40.0, -40.0)[None] + np.zeros((120, 1))
+    at = np.stack([np.full(20, 80.0), rng.uniform(20, 100, 20)], axis=1).round()
+    for image, low, high in ((texture, 0.5, 1.0), (edge, 0.0, 0.12)):
+        noisy = (np.clip(128 + image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8) for _ in range(2))
+        W = whitening(*(grey(np.repeat(own[..., None], 3, axis=2)) for own in noisy), Matches(at, at))
+        assert np.allclose(W, W.transpose(0, 2, 1)) and np.linalg.eigvalsh(W).max() <= 1
+        assert np.all(W[:, 0, 0] > 0.5)
+        assert np.all((W[:, 1, 1] > low) & (W[:, 1, 1] < high))
 
 
 def test_light_and_gain_do_not_matter_to_features(bumped):

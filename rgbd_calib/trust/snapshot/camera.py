@@ -186,7 +186,8 @@ def _refined(before: Before, after: Before, corner_px: FloatArray, corner_m: Flo
     mine = np.flatnonzero(inside)
     found, tracked = pixels.track(before.grey, after.grey, corner_px[mine], expected[mine])
     kept = mine[found]
-    return fit_motion(Tracks(corner_m[kept], tracked), lens, before.surface, after.surface, start)
+    tracks = Tracks(corner_m[kept], tracked, pixels.whitening(before.grey, after.grey, tracked))
+    return fit_motion(tracks, lens, before.surface, after.surface, start)
 
 
 def _apart(T: FloatArray, T_other: FloatArray, points_m: FloatArray, lens: Intrinsics) -> bool:

@@ -7,14 +7,14 @@ against the old,
 
 Rows, with Exp(xi) T_old_new p_new for the place of a new point in the old camera's frame:
 
-    pixel    pi(T_new_old p_old) + s - q_new = 0                      2 px rows a track, p_old from the old pixel and depth
+    pixel    C (pi(T_new_old p_old) + s - q_new) = 0                  2 px rows a track, p_old from the old pixel and depth
     patch    n_old . (T_old_new (m_new + e ray) - m_old) = 0          1 row a patch, metres
 
 The old depth's own error is in both depth images alike and cancels in the patches, but for what a patch loses by lying at
 another pixel; a, b, c, d with their priors stand for that and for warm-up. A track needs the depth only for its parallax. Tracks
 that move by part of a pixel are off by some hundredths, all alike: s, with a prior that is zero for an image that stays.
 
-Weights are Tukey's. Each kind of row has a variance component: sigma from the residuals, times an inflation for what
+C is the track's whitening: along an edge it tells little. Weights are Tukey's. Each kind of row has a variance component: sigma from the residuals, times an inflation for what
 neighbouring rows share. With n_c rows of mean r_c in cell c of the image, sum n_c r_c^2 / (cells sigma^2) is 1 where errors are
 independent, and otherwise says how much less the rows of a cell are worth.
 """
@@ -57,9 +57,8 @@ class Tracks:
     points_m: FloatArray
     """(n, 3)."""
     pixels: Matches
-
-    def only(self, which: np.ndarray) -> Tracks:
-        return Tracks(self.points_m[which], self.pixels.only(which))
+    whitening: FloatArray
+    """(n, 2, 2), see :func:`rgbd_calib.trust.snapshot.pixels.whitening`."""
 
 
 @dataclass(frozen=True)
@@ -165,8 +164,9 @@ def _pixel_rows(tracks: Tracks, lens: Intrinsics, T: FloatArray, shared_px: Floa
     J = np.zeros((len(p), 2, 12))
     J[..., 10:] = np.eye(2)
     J[..., :6] = -by_point @ T_new_old[:3, :3] @ se3.by_motion(tracks.points_m)
-    r = np.where(ahead[:, None], at + shared_px - tracks.pixels.new_px, 1e3)
-    return _Rows(J, r, _cells(tracks.pixels.new_px, (lens.height, lens.width)))
+    left = np.einsum("nij,nj->ni", tracks.whitening, at + shared_px - tracks.pixels.new_px)
+    r = np.where(ahead[:, None], left, 1e3)
+    return _Rows(tracks.whitening @ J, r, _cells(tracks.pixels.new_px, (lens.height, lens.width)))
 
 
 def _patch_rows(

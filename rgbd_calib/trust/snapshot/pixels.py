@@ -30,6 +30,12 @@ _LOCAL_PX = 12.0
 """Deviation of the Gaussian over which an image is normalised."""
 _SMOOTH_PX = 0.8
 """Smoothing before tracking: interpolation between sharp pixels pulls tracks towards whole pixels."""
+_NOISE_AREA_PX2 = 4 * np.pi * _SMOOTH_PX**2
+"""Of which the noise is one value after smoothing."""
+_NOISE_SLOPE2 = 0.5 * (1 - np.exp(-(_SMOOTH_PX**-2)))
+"""Variance of central differences of such noise, over its own."""
+_TRACK_PX = 0.05
+"""Error of a track along strong texture."""
 _FLOOR_GREY = 4.0
 """Contrast below which noise is not blown up, steps of 255."""
 _ALIKE = 0.85
@@ -127,12 +133,31 @@ def similarity(old: np.ndarray, new: np.ndarray, old_px: FloatArray, new_px: Flo
 
     In noise a track stays where it was put, which looks like a camera at rest; noise does not repeat itself.
     """
+    windows = [w - w.mean(axis=(1, 2), keepdims=True) for w in (_windows(old, old_px), _windows(new, new_px))]
+    windows = [w / np.maximum(np.linalg.norm(w, axis=(1, 2), keepdims=True), 1e-9) for w in windows]
+    return np.asarray(np.einsum("nij,nij->n", *windows))
+
+
+def whitening(old: np.ndarray, new: np.ndarray, tracks: Matches) -> FloatArray:
+    """(n, 2, 2), which makes the errors of tracks alike in all directions, and 1 px what it is along strong texture.
+
+    The noise s^2 of the windows moves a track by the covariance s^2 G^-1, G the sum of the products of the gradients: along a
+    lonely edge a track stays where it was put.
+    """
+    a, b = _windows(old, tracks.old_px), _windows(new, tracks.new_px)
+    down, across = np.gradient(a, axis=(1, 2))
+    slope = np.stack([across, down], axis=1).reshape(len(a), 2, -1)
+    g, V = np.linalg.eigh(slope @ slope.transpose(0, 2, 1))
+    noise2 = np.var(a - b, axis=(1, 2))[:, None] / 2
+    g = np.maximum(g - _NOISE_SLOPE2 * _WINDOW_PX**2 * noise2, 1e-9)
+    w = 1 / np.sqrt(1 + _NOISE_AREA_PX2 * noise2 / (_TRACK_PX**2 * g))
+    return np.asarray(V * w[:, None] @ V.transpose(0, 2, 1))
+
+
+def _windows(image: np.ndarray, at_px: FloatArray) -> FloatArray:
+    """(n, 13, 13) about pixels (n, 2)."""
     reach = np.arange(_WINDOW_PX) - _WINDOW_PX // 2
-    windows = []
-    for image, at in ((old, old_px), (new, new_px)):
-        x = np.asarray(at[:, 0, None] + np.tile(reach, _WINDOW_PX), np.float32)
-        y = np.asarray(at[:, 1, None] + np.repeat(reach, _WINDOW_PX), np.float32)
-        values = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(float)
-        values -= values.mean(axis=1, keepdims=True)
-        windows.append(values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-9))
-    return np.asarray(np.einsum("ni,ni->n", *windows))
+    x = np.asarray(at_px[:, 0, None] + np.tile(reach, _WINDOW_PX), np.float32)
+    y = np.asarray(at_px[:, 1, None] + np.repeat(reach, _WINDOW_PX), np.float32)
+    values = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return values.astype(float).reshape(-1, _WINDOW_PX, _WINDOW_PX)
