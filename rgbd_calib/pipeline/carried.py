@@ -62,8 +62,9 @@ def stamps_s(recording: Recording, camera: str) -> tuple[dict[str, tuple[float, 
     missing = [f for f in frames if f not in known or not np.isfinite(known[f][0])]
     if missing:
         raise ConfigError(
-            f"{path}: a {'depth' if mount else 'colour'} timestamp of each of {len(frames)} frames expected, none of {len(missing)} found ({missing[0]}, "
-            "...). Frames of cameras that run free say nothing without: record with timestamps, or take the frames out"
+            f"{path}: a {'depth' if mount else 'colour'} timestamp of each of {len(frames)} frames expected, none of "
+            f"{len(missing)} found ({missing[0]}, ...). Frames of cameras that run free say nothing without: record with "
+            "timestamps, or take the frames out"
         )
     table = 1e-6 * np.array([known[f] for f in frames])
     color, depth, remark = table[:, 0].copy(), table[:, 1].copy(), ""

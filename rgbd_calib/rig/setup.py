@@ -63,7 +63,7 @@ class BundleParams:
     tape_sd_m: float = 0.002
     """Prior of what all written distances of a camera's walls are off by: one tape, one zero."""
     wall_tilt_sd_rad: float = 0.035
-    """Prior of how far all walls of a camera are from square to it, 2 degrees; usual of how far each is from there, estimated."""
+    """Usual of how far all walls of a camera are from square to it, and of how far each is from there, 2 degrees; estimated."""
     wall_bend: float = 0.0003
     """Usual bend of a wall, as a share of its distance at the image's unit rays; estimated."""
     k_wall_per_m: float = 0.002

@@ -66,8 +66,8 @@ class WallPlanes:
 
     values: FloatArray
     """(W, 6): what the written distance D is off by, metres; by how much the tilts a, b of the plane z = D / (1 - a x - b y)
-    differ from those of all walls of the camera; and its bend p, q, r, z += D (p x^2 + q x y + r y^2). Walls are not flat, and single depth
-    images of them err smoothly by more than the sensor's field, as stray light makes them."""
+    differ from those of all walls of the camera; and its bend p, q, r, z += D (p x^2 + q x y + r y^2). Walls are not flat, and
+    single depth images of them err smoothly by more than the sensor's field, as stray light makes them."""
 
     @classmethod
     def none(cls, n: int) -> WallPlanes:

@@ -1,9 +1,9 @@
 """The unknowns of time: clocks, the delay of depth against colour, and the readout of a rolling shutter.
 
 A stamp s of camera l is of the instant t = s + offset_l + 1e-6 drift_l (s - s_l), s_l its first; of the middle row of its
-colour image, half an exposure after it begins; of depth, t + delay_l. A depth camera with a geometry of its own is a camera l of
-its own, whose offset is known beside that of its colour camera: the difference is the delay. Row v of h rows is exposed readout_l ((v + 1/2) / h - 1/2)
-later. The exposure's midpoint, if the stamp is of its beginning, is part of the offset.
+colour image, half an exposure after it begins; of depth, t + delay_l. Row v of h rows is exposed readout_l ((v + 1/2) / h - 1/2)
+later. The exposure's midpoint, if the stamp is of its beginning, is part of the offset. A depth camera with a geometry of its
+own is a camera of its own, whose offset is known beside that of its colour camera: the difference is the delay.
 """
 
 from __future__ import annotations
