@@ -16,7 +16,7 @@ from rgbd_calib.cli.options import (
     say,
 )
 
-FORMATS = ("ros", "kalibr", "colmap", "nerfstudio", "open3d", "opencv", "json")
+FORMATS = ("ros", "kalibr", "colmap", "nerfstudio", "open3d", "opencv", "mrcal", "json")
 
 
 @click.command
@@ -53,6 +53,7 @@ def command(
       nerfstudio  transforms.json: OpenGL axes, pixel centres at 0.5
       open3d      PinholeCameraTrajectory, .json: no distortion, so with --undistorted
       opencv      FileStorage, .yml, .xml or .json: everything but the statistics
+      mrcal       folder: NAME.cameramodel; OPENCV4, 5, 8 or 12
       json        the rig file as JSON: everything
 
     A lens that the format does not have is refitted over the image to the nearest one that it has, and the largest and the

@@ -35,6 +35,7 @@ CARRIED = {
     "colmap": ("four", "five", "rational", "fisheye"),
     "nerfstudio": ("four", "five", "fisheye"),
     "open3d": (),
+    "mrcal": ("four", "five", "rational", "prism"),
 }
 
 

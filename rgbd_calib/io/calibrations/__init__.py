@@ -14,7 +14,7 @@ FORMATS = {
     "iai": "iai_kinect2 calibration folder",
     "own": "this program's rig.yaml, or its JSON",
     "azure": "Azure Kinect and Orbbec Femto calibration JSON",
-    "mrcal": "mrcal .cameramodel (OPENCV models)",
+    "mrcal": "mrcal .cameramodel (OPENCV models), or a folder of them",
     "kalibr": "Kalibr camchain YAML",
     "ros": "ROS camera_info YAML, or a folder of them",
     "nerfstudio": "nerfstudio transforms.json",

@@ -1,4 +1,4 @@
-"""mrcal's .cameramodel: a Python literal with `lensmodel`, `intrinsics`, `imagersize` and `rt_cam_ref` (or `extrinsics`).
+"""mrcal's .cameramodel, or a folder of them: a Python literal with `lensmodel`, `intrinsics`, `imagersize` and `rt_cam_ref` (or `extrinsics`).
 
 OPENCV4, 5, 8 and 12 are OpenCV's models with the same meaning of pixels. rt_cam_ref is a rotation vector and a translation
 that take points of the reference to the camera. https://mrcal.secretsauce.net/cameramodels.html
@@ -9,10 +9,19 @@ from __future__ import annotations
 import ast
 import re
 import warnings
+from pathlib import Path
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry import se3
-from rgbd_calib.io.calibrations.common import Document, FoundCalibration, FoundCamera, lens, numbers, rigid_of_vectors
+from rgbd_calib.io.calibrations.common import (
+    Document,
+    FoundCalibration,
+    FoundCamera,
+    lens,
+    load_document,
+    numbers,
+    rigid_of_vectors,
+)
 from rgbd_calib.io.tables import short
 
 _COEFFICIENTS = {
@@ -26,10 +35,22 @@ _OPTIMIZATION = re.compile(r"'optimization_inputs'\s*:\s*\n?\s*b'(?:[^'\\]|\\.)*
 
 
 def recognises(document: Document) -> bool:
+    if document.path.is_dir():
+        return bool(_models(document.path))
     return "lensmodel" in document.text[:100_000] and "LENSMODEL_" in document.text
 
 
 def read(document: Document) -> FoundCalibration:
+    folder = document.path.is_dir()
+    models = [load_document(path, document.size) for path in _models(document.path)] if folder else [document]
+    return FoundCalibration("mrcal cameramodel", {own.stem: _camera(own) for own in models})
+
+
+def _models(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.glob("*.cameramodel") if path.is_file())
+
+
+def _camera(document: Document) -> FoundCamera:
     path = document.path
     lines = [line for line in document.text.splitlines() if not line.lstrip().startswith("#")]
     try:
@@ -53,7 +74,6 @@ def read(document: Document) -> FoundCalibration:
     own = lens(path, path.stem, size, (fx, fy), (cx, cy), distortion)
     pose = model.get("rt_cam_ref", model.get("extrinsics"))
     if pose is None:
-        return FoundCalibration("mrcal cameramodel", {path.stem: FoundCamera(own)})
+        return FoundCamera(own)
     rt = numbers(path, "rt_cam_ref", pose, 6)
-    T_world_color = se3.inverse(rigid_of_vectors(path, "rt_cam_ref", rt[:3], rt[3:]))
-    return FoundCalibration("mrcal cameramodel", {path.stem: FoundCamera(own, T_world_color)})
+    return FoundCamera(own, se3.inverse(rigid_of_vectors(path, "rt_cam_ref", rt[:3], rt[3:])))

@@ -32,6 +32,7 @@ FORMATS = {
     "nerfstudio": Format((".json",), "transforms.json"),
     "open3d": Format((".json",), "PinholeCameraTrajectory"),
     "opencv": Format((".yml", ".yaml", ".xml", ".json"), "FileStorage"),
+    "mrcal": Format((), "folder: a .cameramodel of each camera"),
     "json": Format((".json",), "the rig file as JSON"),
 }
 
