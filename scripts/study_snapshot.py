@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from multiprocessing import get_context
 from pathlib import Path
 from time import process_time
@@ -99,10 +101,19 @@ class SceneStudy:
         self.truth: TrueRig = true_rig_of(self.params)
         true = Rig(self.truth.cameras[0], self.truth.rig_cameras)
         self.rig = as_calibrated(true, self.params, self.rng)
-        self.room = Caster(scenes(SceneChange(), self.rng)[0])
-        self.sights = {c: self.look(c, self.room) for c in self.truth.cameras}
-        self.before = {c: Before(self.rig.cameras[c], self.take(c, self.sights[c])) for c in self.truth.cameras}
         self.seconds: list[float] = []
+
+    @cached_property
+    def room(self) -> Caster:
+        return Caster(scenes(SceneChange(), self.rng)[0])
+
+    @cached_property
+    def sights(self) -> dict[str, IdealSnapshot]:
+        return {c: self.look(c, self.room) for c in self.truth.cameras}
+
+    @cached_property
+    def before(self) -> dict[str, Before]:
+        return {c: Before(self.rig.cameras[c], self.take(c, self.sights[c])) for c in self.truth.cameras}
 
     def look(self, camera: str, caster: Caster, T_old_new: np.ndarray | None = None) -> IdealSnapshot:
         T = self.truth.T_room_color[camera]
@@ -149,18 +160,27 @@ class SceneStudy:
             "cameras": cameras,
         }
 
-    def all_rounds(self) -> list[dict[str, Any]]:
-        rows = [self.compare("nothing", SceneChange(), self.sights) for _ in range(QUIET_ROUNDS)]
+    def rounds(self, only: str) -> list[dict[str, Any]]:
+        """Those whose name this regular expression finds; others draw no random numbers."""
         warm = SceneChange(depth_scale=0.003, depth_offset_m=0.003)
-        rows.append(self.compare("warm-up", warm, self.sights))
-        for what, draw in (("moved", draw_twist), ("moved by 5 mm or 0.2 deg", small_twist)):
-            rows.append(self._moved(what, SceneChange({self._any(): draw(self.rng)})))
-        rows.append(self._moved("moved, warm-up", replace(warm, twists={self._any(): draw_twist(self.rng)})))
-        rows.append(self._shifted())
-        rows.append(self._changed())
-        for flat in ("wall", "floor"):
-            rows.append(self._flat(flat))
-        return rows
+        every: list[tuple[str, Callable[[str], dict[str, Any]]]] = [
+            *[("nothing", lambda what: self.compare(what, SceneChange(), self.sights))] * QUIET_ROUNDS,
+            ("warm-up", lambda what: self.compare(what, warm, self.sights)),
+            ("moved", lambda what: self._moved(what, SceneChange({self._any(): draw_twist(self.rng)}))),
+            (
+                "moved by 5 mm or 0.2 deg",
+                lambda what: self._moved(what, SceneChange({self._any(): small_twist(self.rng)})),
+            ),
+            (
+                "moved, warm-up",
+                lambda what: self._moved(what, replace(warm, twists={self._any(): draw_twist(self.rng)})),
+            ),
+            ("whole rig", self._shifted),
+            ("changed, dim, moved", self._changed),
+            ("wall", self._flat),
+            ("floor", self._flat),
+        ]
+        return [make(what) for what, make in every if re.search(only, what)]
 
     def _any(self) -> str:
         return str(self.rng.choice(self.truth.cameras))
@@ -169,22 +189,22 @@ class SceneStudy:
         moved = {c: self.look(c, self.room, change.T_old_new(c)) for c in change.twists}
         return self.compare(what, change, self.sights | moved)
 
-    def _shifted(self) -> dict[str, Any]:
+    def _shifted(self, what: str) -> dict[str, Any]:
         """All cameras by the same motion in the room, 10 mm and 0.5 degrees."""
         D = se3.retract(np.eye(4), draw_twist(self.rng, 0.010, np.radians(0.5)))
         twists = {}
         for c in self.truth.cameras:
             T = self.truth.T_room_color[c]
             twists[c] = se3.difference(se3.inverse(T) @ D @ T, np.eye(4))
-        return self._moved("whole rig", SceneChange(twists))
+        return self._moved(what, SceneChange(twists))
 
-    def _changed(self) -> dict[str, Any]:
+    def _changed(self, what: str) -> dict[str, Any]:
         """About 40 % of the scene changed, light halved, one camera moved."""
         change = SceneChange({self._any(): draw_twist(self.rng)}, objects=6, people=4, light=0.5)
         old, new = scenes(change, self.rng)
         caster = Caster(new)
         sights = {c: self.look(c, caster, change.T_old_new(c)) for c in self.truth.cameras}
-        row = self.compare("changed, dim, moved", change, sights)
+        row = self.compare(what, change, sights)
         shares = {c: changed_share(self.truth, c, {"old": old, "new": new}) for c in self.truth.cameras}
         return row | {"changed": shares}
 
@@ -199,9 +219,9 @@ class SceneStudy:
         )
 
 
-def study(seed: int, setup: Setup) -> tuple[list[dict[str, Any]], list[float]]:
+def study(seed: int, setup: Setup, only: str) -> tuple[list[dict[str, Any]], list[float]]:
     one = SceneStudy(setup, seed)
-    return one.all_rounds(), one.seconds
+    return one.rounds(only), one.seconds
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -241,13 +261,14 @@ def main() -> None:
     parser.add_argument("--sensor", default="structured-light")
     parser.add_argument("--layout", default="arc")
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--only", default="", help="changes whose name matches this regular expression")
     parser.add_argument("--out", type=Path, help="write all rows as JSON")
     args = parser.parse_args()
     setup = Setup(args.width, args.frames, args.sensor, args.layout)
     seeds = range(args.first, args.first + args.scenes)
     rows, seconds = [], []
     with get_context("spawn").Pool(args.jobs) as pool:
-        for found, took in pool.imap(partial(study, setup=setup), seeds):
+        for found, took in pool.imap(partial(study, setup=setup, only=args.only), seeds):
             rows += found
             seconds += took
             if args.out:  # after each scene: a study takes long
