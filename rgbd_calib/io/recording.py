@@ -65,6 +65,11 @@ class Recording:
         return self._files["ir"]
 
     @property
+    def color_cameras(self) -> tuple[str, ...]:
+        """All but the depth cameras of a split recording."""
+        return tuple(name for name, info in self.cameras.items() if info.mount is None)
+
+    @property
     def depth_registered(self) -> bool:
         """Depth of every camera has the geometry of its colour image."""
         return all(info.depth is None for info in self.cameras.values())
@@ -168,7 +173,7 @@ class Recording:
     def distances_m(self, camera: str) -> dict[str, tuple[float, float | None]]:
         """Wall distances by frame from distances.csv and their standard deviations, metres, None where none is stated; empty
         where there is no such file."""
-        path = self._folder(camera) / "distances.csv"
+        path = self.folder(camera) / "distances.csv"
         if not path.exists():
             return {}
         out: dict[str, tuple[float, float | None]] = {}
@@ -183,7 +188,7 @@ class Recording:
 
     def timestamps_us(self, camera: str) -> dict[str, tuple[float, float]]:
         """(colour, depth) time stamps by frame from timestamps.csv, microseconds; NaN where one is missing."""
-        path = self._folder(camera) / "timestamps.csv"
+        path = self.folder(camera) / "timestamps.csv"
         if not path.exists():
             return {}
         out: dict[str, tuple[float, float]] = {}
@@ -192,7 +197,8 @@ class Recording:
             _add_once(out, path, line, row["frame"], (color_us, depth_us))
         return out
 
-    def _folder(self, camera: str) -> Path:
+    def folder(self, camera: str) -> Path:
+        """Where the tables of a camera are: those of a depth camera in its colour camera's."""
         mount = self.cameras[camera].mount
         return self.path / (camera if mount is None else mount.camera)
 

@@ -48,7 +48,7 @@ def calibrate_carried(
         See :func:`rgbd_calib.pipeline.carried_calibration.solve_carried`.
     """
     board, recording = board_of(recording), split(recording)
-    reference = reference_of(config, [c for c, info in recording.cameras.items() if info.mount is None])
+    reference = reference_of(config, recording.color_cameras)
     detections = detections or detect(recording, config.detect, workers, progress)
     own = solve_carried(recording, config, detections, reference, intrinsics, depth_bias, workers, progress)
     solved, boards = own.solution, own.board_poses()

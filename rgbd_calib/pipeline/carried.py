@@ -53,8 +53,7 @@ def stamps_s(recording: Recording, camera: str) -> tuple[dict[str, tuple[float, 
     ConfigError
         No stamps, a frame without one, or a clock that jumps.
     """
-    mount = recording.cameras[camera].mount
-    path = recording.path / (mount.camera if mount else camera) / "timestamps.csv"
+    mount, path = recording.cameras[camera].mount, recording.folder(camera) / "timestamps.csv"
     frames = list(recording.color_files[camera] or recording.depth_files[camera])
     known = recording.timestamps_us(camera)
     if mount is not None:  # all its images are of depth's instant

@@ -97,7 +97,7 @@ def solve_carried(
     solved = estimate(
         start.views, alone, board, priors, start.clocks, start.first_s, poses, reference, config.bundle, walls
     )
-    clocks = {c: clock_of(solved, c) for c, info in recording.cameras.items() if info.mount is None}
+    clocks = {c: clock_of(solved, c) for c in recording.color_cameras}
     return CarriedSolution(solved, start, lenses, depth, filtered, clocks)
 
 

@@ -67,7 +67,7 @@ def prepare_views(
     """Detect, filter, and decide which corner is which."""
     board = board_of(recording)
     cameras = list(recording.cameras)
-    reference = reference_of(config, [name for name, info in recording.cameras.items() if info.mount is None])
+    reference = reference_of(config, recording.color_cameras)
     if len(cameras) < 2:
         raise CalibrationError(
             f"{recording.path}: 1 camera ({cameras[0]}), two or more needed for a rig. Record the board with another camera, "

@@ -93,7 +93,7 @@ def check_sources(recording: Recording, intrinsics: Path | None, depth_bias: Pat
     ConfigError
         Not there, not readable, lacks a camera of the recording, or is of another image size.
     """
-    color = [name for name, info in recording.cameras.items() if info.mount is None]
+    color = recording.color_cameras
     for source, what in ((intrinsics, "intrinsics"), (depth_bias, "depth_bias")):
         if source is not None and source.is_dir():
             other = split(open_recording(source))
@@ -126,7 +126,7 @@ def resolve_intrinsics(
 
     `source_detections` are the corners of an intrinsic recording, where they were found before.
     """
-    cameras = [name for name, info in recording.cameras.items() if info.mount is None]
+    cameras = recording.color_cameras
     check_sources(recording, source, None)
     if source is not None and source.is_dir():
         other = split(open_recording(source))

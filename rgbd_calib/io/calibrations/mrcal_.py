@@ -1,7 +1,8 @@
-"""mrcal's .cameramodel, or a folder of them: a Python literal with `lensmodel`, `intrinsics`, `imagersize` and `rt_cam_ref` (or `extrinsics`).
+"""mrcal's .cameramodel, or a folder of them.
 
-OPENCV4, 5, 8 and 12 are OpenCV's models with the same meaning of pixels. rt_cam_ref is a rotation vector and a translation
-that take points of the reference to the camera. https://mrcal.secretsauce.net/cameramodels.html
+A model is a Python literal with `lensmodel`, `intrinsics`, `imagersize` and `rt_cam_ref` (or `extrinsics`). OPENCV4, 5, 8 and
+12 are OpenCV's models with the same meaning of pixels. rt_cam_ref is a rotation vector and a translation that take points of
+the reference to the camera. https://mrcal.secretsauce.net/cameramodels.html
 """
 
 from __future__ import annotations

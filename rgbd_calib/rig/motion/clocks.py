@@ -73,13 +73,11 @@ class ClockBlock(OfTime):
         information = plain.information.copy()
         for c, clock in enumerate(own.clocks):
             if clock.beside:
-                known = np.diag([clock.delay_sd_s, DRIFT_OF_DEPTH_SD_PPM]) ** 2
                 at, color = self.columns(c), self.columns(own.cameras.index(clock.beside))
-                tie = np.linalg.inv(known)
-                information[np.ix_(at, at)] = tie
-                information[np.ix_(color, color)] += tie
-                information[np.ix_(at, color)] -= tie
-                information[np.ix_(color, at)] -= tie
+                tie = np.array([clock.delay_sd_s, DRIFT_OF_DEPTH_SD_PPM]) ** -2.0
+                information[at, at] = tie
+                information[color, color] += tie
+                information[at, color] = information[color, at] = -tie
         return replace(plain, information=information)
 
     def derivative(self, look: Look) -> FloatArray:

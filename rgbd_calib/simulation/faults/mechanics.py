@@ -62,7 +62,7 @@ def _mounted_anew(scene: TrueScene, rng: Rng) -> Session:
 
 
 def _bumped_at(first: int, last: int) -> Fault:
-    """The second camera stands elsewhere in `first` frames at the start and in `last` at the end."""
+    """The second camera is displaced in the `first` frames at the start and the `last` at the end."""
 
     def fault(scene: TrueScene, rng: Rng) -> Session:
         names, moved = list(scene.boards), moved_rig(scene.rig, second_camera(scene), BUMP)

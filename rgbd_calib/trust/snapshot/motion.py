@@ -15,8 +15,8 @@ another pixel; a, b, c, d with their priors stand for that and for warm-up. A tr
 that move by part of a pixel are off by some hundredths, all alike: s, with a prior that is zero for an image that stays.
 
 C is the track's whitening: along an edge it tells little. Weights are Tukey's. Each kind of row has a variance component: sigma
-from the residuals, times an inflation for what neighbouring rows share. With n_c rows of mean r_c in cell c of the image, sum n_c r_c^2 / (cells sigma^2) is 1 where errors are
-independent, and otherwise says how much less the rows of a cell are worth.
+from the residuals, times an inflation for what neighbouring rows share. With n_c rows of mean r_c in cell c of the image,
+sum n_c r_c^2 / (cells sigma^2) is 1 where errors are independent, and otherwise says how much less the rows of a cell are worth.
 """
 
 from __future__ import annotations
