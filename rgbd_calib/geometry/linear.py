@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +63,7 @@ class Rows:
     r: FloatArray
     """(n, N, r)."""
     point_columns: IntArray
-    """(n, N, s), globals of the points' own columns."""
+    """(n, N, s), globals of the points' own columns, none twice in a view."""
     J_point: FloatArray
     """(n, N, r, s)."""
 
@@ -143,10 +144,18 @@ class Pattern:
 
 def _alike(rows: IntArray) -> list[IntArray]:
     """Numbers of the equal ones among rows (n, k), group by group."""
-    if np.all(rows == rows[0]):
-        return [np.arange(len(rows))]
-    which = np.unique(rows, axis=0, return_inverse=True)[1].ravel()
-    return [np.flatnonzero(which == k) for k in range(which.max() + 1)]
+    members = dict[bytes, list[int]]()
+    for k, row in enumerate(rows):
+        members.setdefault(row.tobytes(), []).append(k)
+    return [np.array(own) for own in members.values()]
+
+
+def _add_to(total: FloatArray, at: Any, values: FloatArray, distinct: bool) -> None:
+    """total[at] += values, ten times faster where no place occurs twice."""
+    if distinct:
+        total[at] += values
+    else:
+        np.add.at(total, at, values)
 
 
 class Assembly:
@@ -166,16 +175,18 @@ class Assembly:
         every = J.reshape(-1, J.shape[-1])
         self._U[np.ix_(at, at)] += sign * (every.T @ every)
         self._g[at] += sign * (r.ravel() @ every)
-        np.add.at(self._V, rows.units, sign * (J_unit.transpose(0, 2, 1) @ J_unit))
-        np.add.at(self._h, rows.units, sign * (r[:, None] @ J_unit)[:, 0])
-        self._couple(rows.units, np.broadcast_to(at, (len(r), len(at))), sign * (J.transpose(0, 2, 1) @ J_unit))
+        distinct = len(set(rows.units.tolist())) == len(rows.units)
+        _add_to(self._V, rows.units, sign * (J_unit.transpose(0, 2, 1) @ J_unit), distinct)
+        _add_to(self._h, rows.units, sign * (r[:, None] @ J_unit)[:, 0], distinct)
+        by_unit = sign * (J.transpose(0, 2, 1) @ J_unit)
+        self._couple(rows.units, np.broadcast_to(at, (len(r), len(at))), by_unit, distinct)
         if rows.J_point.shape[-1]:
-            self._add_points(rows, sign)
+            self._add_points(rows, sign, distinct)
 
-    def _add_points(self, rows: Rows, sign: float) -> None:
+    def _add_points(self, rows: Rows, sign: float, distinct: bool) -> None:
         n, N, _, s = rows.J_point.shape
         by_unit = sign * np.einsum("nirs,nird->nisd", rows.J_point, rows.J_unit).reshape(n, N * s, -1)
-        self._couple(rows.units, rows.point_columns.reshape(n, -1), by_unit)
+        self._couple(rows.units, rows.point_columns.reshape(n, -1), by_unit, distinct)
         # views that see the same points are added up before they are scattered
         for mine in _alike(rows.point_columns.reshape(n, -1)):
             own = rows.point_columns[mine[0]]
@@ -183,20 +194,20 @@ class Assembly:
             J = rows.J[mine].transpose(1, 0, 2, 3).reshape(N, J_point.shape[-1], -1)
             signed = sign * J_point
             cross = signed @ J
-            np.add.at(self._U, (own[:, :, None], rows.columns), cross)
-            np.add.at(self._U, (rows.columns[:, None, None], own), cross.transpose(2, 0, 1))
-            np.add.at(self._U, (own[:, :, None], own[:, None]), signed @ J_point.transpose(0, 2, 1))
+            self._U[own[:, :, None], rows.columns] += cross
+            self._U[rows.columns[:, None, None], own] += cross.transpose(2, 0, 1)
+            self._U[own[:, :, None], own[:, None]] += signed @ J_point.transpose(0, 2, 1)
             r = rows.r[mine].transpose(1, 0, 2).reshape(N, -1, 1)
-            np.add.at(self._g, own, (signed @ r)[..., 0])
+            self._g[own] += (signed @ r)[..., 0]
 
-    def _couple(self, units: IntArray, columns: IntArray, values: FloatArray) -> None:
+    def _couple(self, units: IntArray, columns: IntArray, values: FloatArray, distinct: bool) -> None:
         """Adds (n, k, D) to W at units (n,) and globals (n, k)."""
         own = self._pattern
         group = own.group[units]
         for g in np.flatnonzero(np.bincount(group)):
             mine = group == g
             at = own.position[g, columns[mine]]
-            np.add.at(self._W[g], (own.place[units[mine]][:, None], at), values[mine])
+            _add_to(self._W[g], (own.place[units[mine]][:, None], at), values[mine], distinct)
 
     def equations(self) -> NormalEquations:
         curvature = np.diag(self._U).copy()

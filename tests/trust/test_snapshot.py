@@ -23,7 +23,7 @@ from rgbd_calib.trust.snapshot import Before, camera_motion
 from rgbd_calib.trust.snapshot.camera import CameraMotion
 from rgbd_calib.trust.snapshot.determined import displacement_m, free_directions, working_points
 from rgbd_calib.trust.snapshot.motion import Motion, RowNoise, undrifted
-from rgbd_calib.trust.snapshot.pixels import Matches, grey, match_features, similarity, track, whitening
+from rgbd_calib.trust.snapshot.pixels import Matches, grey, match_features, noise_px2, similarity, track
 from rgbd_calib.trust.snapshot.rig import SCENE, SnapshotParams, judge_motions
 from rgbd_calib.trust.snapshot.surfaces import Surface
 from rgbd_calib.types import Rig, RigCamera
@@ -86,17 +86,40 @@ def test_noise_is_unlike_itself_and_texture_is_found_again():
     assert len(found) == 0
 
 
+def _noisy_pair(image, sigma, rng):
+    return [
+        grey(
+            np.repeat(
+                np.clip(128 + image + rng.normal(0, sigma, image.shape), 0, 255).astype(np.uint8)[..., None], 3, axis=2
+            )
+        )
+        for _ in range(2)
+    ]
+
+
 def test_a_lonely_edge_tells_nothing_along_itself():
     rng = np.random.default_rng(2)
-    texture = cv2.GaussianBlur(rng.normal(0, 200, (120, 160)), (0, 0), 1.5)
     edge = np.where(np.arange(160) < 80, 40.0, -40.0)[None] + np.zeros((120, 1))
     at = np.stack([np.full(20, 80.0), rng.uniform(20, 100, 20)], axis=1).round()
-    for image, low, high in ((texture, 0.5, 1.0), (edge, 0.0, 0.12)):
-        noisy = (np.clip(128 + image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8) for _ in range(2))
-        W = whitening(*(grey(np.repeat(own[..., None], 3, axis=2)) for own in noisy), Matches(at, at))
-        assert np.allclose(W, W.transpose(0, 2, 1)) and np.linalg.eigvalsh(W).max() <= 1
-        assert np.all(W[:, 0, 0] > 0.5)
-        assert np.all((W[:, 1, 1] > low) & (W[:, 1, 1] < high))
+    C = noise_px2(*_noisy_pair(edge, 2, rng), Matches(at, at))
+    assert np.all(C[:, 0, 0] < 0.05**2) and np.all(C[:, 1, 1] > 0.3**2)
+    flat = noise_px2(*_noisy_pair(np.zeros((120, 160)), 0, rng), Matches(at, at))
+    assert np.all(np.isfinite(flat)) and np.linalg.eigvalsh(flat).min() > 10**2
+
+
+@pytest.mark.parametrize("sigma", [2, 8])
+def test_the_noise_of_tracks_is_known_to_a_factor_of_two(sigma):
+    rng = np.random.default_rng(4)
+    texture = cv2.GaussianBlur(
+        rng.normal(0, 200, (480, 640)), (0, 0), sigmaX=1.5, sigmaY=4
+    )  # better told across than down
+    old, new = _noisy_pair(texture, sigma, rng)
+    at = np.stack(np.meshgrid(np.arange(20, 620, 20), np.arange(20, 460, 20)), axis=-1).reshape(-1, 2).astype(float)
+    found, tracks = track(old, new, at, at)
+    error, C = tracks.new_px - at[found], noise_px2(old, new, tracks)
+    assert len(found) > 500
+    for k in (0, 1):
+        assert 0.5 < np.median(error[:, k] ** 2 / C[:, k, k]) / 0.455 < 2
 
 
 def test_light_and_gain_do_not_matter_to_features(bumped):

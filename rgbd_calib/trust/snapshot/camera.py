@@ -186,7 +186,7 @@ def _refined(before: Before, after: Before, corner_px: FloatArray, corner_m: Flo
     mine = np.flatnonzero(inside)
     found, tracked = pixels.track(before.grey, after.grey, corner_px[mine], expected[mine])
     kept = mine[found]
-    tracks = Tracks(corner_m[kept], tracked, pixels.whitening(before.grey, after.grey, tracked))
+    tracks = Tracks(corner_m[kept], tracked, pixels.noise_px2(before.grey, after.grey, tracked))
     return fit_motion(tracks, lens, before.surface, after.surface, start)
 
 

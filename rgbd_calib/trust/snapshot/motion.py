@@ -14,7 +14,9 @@ The old depth's own error is in both depth images alike and cancels in the patch
 another pixel; a, b, c, d with their priors stand for that and for warm-up. A track needs the depth only for its parallax. Tracks
 that move by part of a pixel are off by some hundredths, all alike: s, with a prior that is zero for an image that stays.
 
-C is the track's whitening: along an edge it tells little. Weights are Tukey's. Each kind of row has a variance component: sigma
+C makes the errors of a track independent and of one size: its covariance is what the images' noise gives (along an edge a track
+tells little) and, across and down the image, a floor that all tracks share: texture is sampled anew when a camera moves. Both
+floors are estimated. Weights are Tukey's. Each kind of row has a variance component: sigma
 from the residuals, times an inflation for what neighbouring rows share. With n_c rows of mean r_c in cell c of the image,
 sum n_c r_c^2 / (cells sigma^2) is 1 where errors are independent, and otherwise says how much less the rows of a cell are worth.
 """
@@ -27,7 +29,7 @@ import numpy as np
 
 from rgbd_calib.geometry import camera, se3
 from rgbd_calib.geometry.camera import Intrinsics
-from rgbd_calib.geometry.linear import symmetric_inverse
+from rgbd_calib.geometry.linear import BoolArray, symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.trust.snapshot.pixels import Matches
 from rgbd_calib.trust.snapshot.surfaces import Patches, Surface
@@ -44,8 +46,14 @@ ANYWHERE = np.array([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])
 _DRIFT_AT_M = 3.0
 _TUKEY = 4.7
 _MAD = 1.4826
+"""Of normal values, the deviation over the median of absolute values."""
 _CELLS = (5, 4)
-_LEAST_PX = 0.03
+_LEAST_SLOPE = 0.2
+"""Of the weighted residuals, of their weights: 0.83 for normal errors."""
+_LEAST = 0.3
+"""Least scale of the rows, of what is expected of them."""
+_FLOORS_PX = 0.003, 2.0
+"""Between these, the tracks' errors beyond the noise."""
 _ROUNDS, _STEPS = 8, 3
 _GATE_PX = 4.0
 
@@ -57,8 +65,8 @@ class Tracks:
     points_m: FloatArray
     """(n, 3)."""
     pixels: Matches
-    whitening: FloatArray
-    """(n, 2, 2), see :func:`rgbd_calib.trust.snapshot.pixels.whitening`."""
+    noise_px2: FloatArray
+    """(n, 2, 2), their covariance by the noise of the images, px^2."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +95,7 @@ class Motion:
     """(4,), as :data:`DRIFT_SD`."""
     drift_sd: FloatArray
     tracks: RowNoise
-    """px."""
+    """In deviations expected of a track."""
     patches: RowNoise
     """In deviations expected of a patch."""
     correlation: FloatArray
@@ -121,10 +129,10 @@ def fit_motion(tracks: Tracks, lens: Intrinsics, old: Surface, new: Surface, sta
         mine, cells = planes.only(which), _cells(pixels[which], old.shape)
         sigma_m = _expected(mine, old, new)
         for _ in range(_STEPS):
-            rows_px = _pixel_rows(tracks, lens, T, nuisance[4:])
+            rows_px, near = _pixel_rows(tracks, lens, T, nuisance[4:])
             rows_m = _patch_rows(mine, there, sigma_m, T, nuisance[:4], cells)
-            of_tracks, w_px = _weigh(rows_px, of_tracks, _GATE_PX, _LEAST_PX)
-            of_patches, w_m = _weigh(rows_m, of_patches, None, 0.3)
+            of_tracks, w_px = _weigh(rows_px, of_tracks, near)
+            of_patches, w_m = _weigh(rows_m, of_patches)
             H, g = prior.copy(), np.concatenate([np.zeros(6), nuisance / nuisance_sd**2])
             for rows, w, noise in ((rows_px, w_px, of_tracks), (rows_m, w_m, of_patches)):
                 wJ = rows.J * (w / noise.variance)[:, None, None]
@@ -156,7 +164,8 @@ def _expected(planes: Patches, old: Surface, new: Surface) -> FloatArray:
     return np.asarray(np.hypot(np.hypot(old.k_per_m, new.k_per_m) * z**2 * cos, 0.2e-3))
 
 
-def _pixel_rows(tracks: Tracks, lens: Intrinsics, T: FloatArray, shared_px: FloatArray) -> _Rows:
+def _pixel_rows(tracks: Tracks, lens: Intrinsics, T: FloatArray, shared_px: FloatArray) -> tuple[_Rows, BoolArray]:
+    """Whitened, and which tracks (n,) are near where they are expected."""
     T_new_old = se3.inverse(T)
     p = se3.transform(T_new_old, tracks.points_m)
     ahead = p[:, 2] > 0.05
@@ -164,9 +173,37 @@ def _pixel_rows(tracks: Tracks, lens: Intrinsics, T: FloatArray, shared_px: Floa
     J = np.zeros((len(p), 2, 12))
     J[..., 10:] = np.eye(2)
     J[..., :6] = -by_point @ T_new_old[:3, :3] @ se3.by_motion(tracks.points_m)
-    left = np.einsum("nij,nj->ni", tracks.whitening, at + shared_px - tracks.pixels.new_px)
-    r = np.where(ahead[:, None], left, 1e3)
-    return _Rows(tracks.whitening @ J, r, _cells(tracks.pixels.new_px, (lens.height, lens.width)))
+    left = np.where(ahead[:, None], at + shared_px - tracks.pixels.new_px, 1e3)
+    near = np.linalg.norm(left, axis=1) < _GATE_PX
+    whitening = _whitening(left, tracks.noise_px2, near)
+    r = np.einsum("nij,nj->ni", whitening, left)
+    return _Rows(whitening @ J, r, _cells(tracks.pixels.new_px, (lens.height, lens.width))), near
+
+
+def _whitening(left_px: FloatArray, noise_px2: FloatArray, near: BoolArray) -> FloatArray:
+    """(n, 2, 2), inverse roots of the tracks' covariance, the floors with which residuals (n, 2) are as large as expected."""
+    used, whitening = near, np.tile(np.eye(2), (len(left_px), 1, 1))
+    for _ in range(3):  # again without what is far out
+        if np.count_nonzero(used) < 6:
+            break
+        floors = [_floor_px2(left_px[used, k] ** 2, noise_px2[used, k, k]) for k in (0, 1)]
+        variance, V = np.linalg.eigh(noise_px2 + np.diag(floors))
+        whitening = V / np.sqrt(variance)[:, None] @ V.transpose(0, 2, 1)
+        r = np.einsum("nij,nj->ni", whitening, left_px)
+        used = near & (np.sqrt(np.mean(r**2, axis=1)) < _TUKEY)
+    return np.asarray(whitening)
+
+
+def _floor_px2(squares: FloatArray, noise: FloatArray) -> float:
+    """The variance beyond `noise` (n,) with which half of the squares (n,) lie below the median of a square normal variable."""
+    low, high = np.log(_FLOORS_PX) * 2
+    for _ in range(12):
+        middle = (low + high) / 2
+        if np.median(squares / (noise + np.exp(middle))) > 1 / _MAD**2:
+            low = middle
+        else:
+            high = middle
+    return float(np.exp(high))
 
 
 def _patch_rows(
@@ -211,33 +248,45 @@ def _cells(pixels: FloatArray, shape: tuple[int, int]) -> np.ndarray:
     return np.asarray(v * columns + u)
 
 
-def _weigh(rows: _Rows, before: RowNoise, gate: float | None, least: float) -> tuple[RowNoise, FloatArray]:
-    """Scale, inflation and Tukey's weights (n,) of one kind of row."""
+def _weigh(rows: _Rows, before: RowNoise, near: BoolArray | None = None) -> tuple[RowNoise, FloatArray]:
+    """Scale, inflation and Tukey's weights (n,) of one kind of row; only those that are `near` (n,) count for the scale."""
     n, r = rows.r.shape
     size = np.sqrt(np.mean(rows.r**2, axis=1))
-    near = size < (gate if gate is not None else np.inf)
+    near = np.ones(n, bool) if near is None else near
     if np.count_nonzero(near) < 6:
         return replace(before, rows=0.0), np.zeros(n)
     # of r normal coordinates the RMS has this median, in deviations
-    sigma = max(float(np.median(size[near])) / (0.6745 if r == 1 else 0.8326), least)
+    sigma = max(float(np.median(size[near])) / (0.6745 if r == 1 else 0.8326), _LEAST)
     for _ in range(3):  # again without what is far out
         kept = size < _TUKEY * sigma
         if np.count_nonzero(kept) < 6:
             break
-        sigma = max(float(np.median(size[kept])) / (0.6745 if r == 1 else 0.8326), least)
-    w = np.clip(1 - (size / (_TUKEY * sigma)) ** 2, 0, 1) ** 2
-    return RowNoise(float(w.sum()), sigma, _inflation(rows, w, sigma)), w
+        sigma = max(float(np.median(size[kept])) / (0.6745 if r == 1 else 0.8326), _LEAST)
+    u = np.minimum((size / (_TUKEY * sigma)) ** 2, 1.0)
+    w = (1 - u) ** 2
+    return RowNoise(float(w.sum()), sigma, _inflation(rows, u, sigma)), w
 
 
-def _inflation(rows: _Rows, w: FloatArray, sigma: float) -> float:
-    """How many times the variance of a cell's mean is that of independent rows; at least 1."""
+def _inflation(rows: _Rows, u: FloatArray, sigma: float) -> float:
+    """How many times sigma^2 / sum(w) is the variance of a mean, for what cells share and for the weights.
+
+    M-estimates have the covariance A^-1 B A^-1, A the slope of the weighted residuals psi = w r and B their covariance
+    (P. Huber, Robust Statistics, 1981, 6.3): that of the cells' sums, at least that of independent rows.
+
+    Parameters
+    ----------
+    u : (n,), squares of the rows' sizes over those that weigh nothing, w = (1 - u)^2.
+    """
+    w, per = (1 - u) ** 2, rows.r.shape[1]
+    slope = float(np.sum(w - 4 / per * (1 - u) * u))
+    shared = float(np.sum(w**2 * np.mean(rows.r**2, axis=1))) / float(w.sum())
     count = np.bincount(rows.cell, w)
     used = count > 1
-    if np.count_nonzero(used) < 6:
-        return 1.0
-    squares = 0.0
-    for k in range(rows.r.shape[1]):
-        total = np.bincount(rows.cell, w * rows.r[:, k], minlength=len(count))
-        squares += float(np.sum(total[used] ** 2 / count[used])) / sigma**2
-    # six of the cells' means go into the motion
-    return max(squares / max(rows.r.shape[1] * np.count_nonzero(used) - 6, 1), 1.0)
+    if np.count_nonzero(used) >= 6:
+        squares = 0.0
+        for k in range(per):
+            total = np.bincount(rows.cell, w * rows.r[:, k], minlength=len(count))
+            squares += float(np.sum(total[used] ** 2 / count[used]))
+        # six of the cells' means go into the motion
+        shared = max(shared, squares / max(per * np.count_nonzero(used) - 6, 1))
+    return shared / sigma**2 * (float(w.sum()) / max(slope, _LEAST_SLOPE * float(w.sum()))) ** 2

@@ -34,8 +34,6 @@ _NOISE_AREA_PX2 = 4 * np.pi * _SMOOTH_PX**2
 """Of which the noise is one value after smoothing."""
 _NOISE_SLOPE2 = 0.5 * (1 - np.exp(-(_SMOOTH_PX**-2)))
 """Variance of central differences of such noise, over its own."""
-_TRACK_PX = 0.05
-"""Error of a track along strong texture."""
 _FLOOR_GREY = 4.0
 """Contrast below which noise is not blown up, steps of 255."""
 _ALIKE = 0.85
@@ -138,20 +136,21 @@ def similarity(old: np.ndarray, new: np.ndarray, old_px: FloatArray, new_px: Flo
     return np.asarray(np.einsum("nij,nij->n", *windows))
 
 
-def whitening(old: np.ndarray, new: np.ndarray, tracks: Matches) -> FloatArray:
-    """(n, 2, 2), which makes the errors of tracks alike in all directions, and 1 px what it is along strong texture.
+def noise_px2(old: np.ndarray, new: np.ndarray, tracks: Matches) -> FloatArray:
+    """Covariance (n, 2, 2) of tracks by the noise of the images alone, px^2, to a factor of two or so.
 
-    The noise s^2 of the windows moves a track by the covariance s^2 G^-1, G the sum of the products of the gradients: along a
-    lonely edge a track stays where it was put.
+    The noise s^2 of the windows moves a track by s^2 G^-1, G the sum of the products of the gradients: along a lonely edge a
+    track stays where it was put. How fine the texture is against the smoothed noise makes the factor.
     """
     a, b = _windows(old, tracks.old_px), _windows(new, tracks.new_px)
     down, across = np.gradient(a, axis=(1, 2))
     slope = np.stack([across, down], axis=1).reshape(len(a), 2, -1)
     g, V = np.linalg.eigh(slope @ slope.transpose(0, 2, 1))
     noise2 = np.var(a - b, axis=(1, 2))[:, None] / 2
-    g = np.maximum(g - _NOISE_SLOPE2 * _WINDOW_PX**2 * noise2, 1e-9)
-    w = 1 / np.sqrt(1 + _NOISE_AREA_PX2 * noise2 / (_TRACK_PX**2 * g))
-    return np.asarray(V * w[:, None] @ V.transpose(0, 2, 1))
+    g = np.maximum(g - _NOISE_SLOPE2 * _WINDOW_PX**2 * noise2, 0.0)
+    most = float(_WINDOW_PX**2)
+    variance = np.minimum(_NOISE_AREA_PX2 * noise2, most * g) / np.maximum(g, 1e-300)
+    return np.asarray(V * np.where(g > 0, variance, most)[:, None] @ V.transpose(0, 2, 1))
 
 
 def _windows(image: np.ndarray, at_px: FloatArray) -> FloatArray:
