@@ -186,24 +186,14 @@ def _whitening(left_px: FloatArray, noise_px2: FloatArray, near: BoolArray) -> F
     for _ in range(3):  # again without what is far out
         if np.count_nonzero(used) < 6:
             break
-        floors = [_floor_px2(left_px[used, k] ** 2, noise_px2[used, k, k]) for k in (0, 1)]
+        # with which half of the squares, over their variances, lie below the median of a normal variable's square
+        beyond = (_MAD * left_px[used]) ** 2 - np.einsum("nii->ni", noise_px2[used])
+        floors = np.clip(np.median(beyond, axis=0), *np.square(_FLOORS_PX))
         variance, V = np.linalg.eigh(noise_px2 + np.diag(floors))
         whitening = V / np.sqrt(variance)[:, None] @ V.transpose(0, 2, 1)
         r = np.einsum("nij,nj->ni", whitening, left_px)
         used = near & (np.sqrt(np.mean(r**2, axis=1)) < _TUKEY)
     return np.asarray(whitening)
-
-
-def _floor_px2(squares: FloatArray, noise: FloatArray) -> float:
-    """The variance beyond `noise` (n,) with which half of the squares (n,) lie below the median of a square normal variable."""
-    low, high = np.log(_FLOORS_PX) * 2
-    for _ in range(12):
-        middle = (low + high) / 2
-        if np.median(squares / (noise + np.exp(middle))) > 1 / _MAD**2:
-            low = middle
-        else:
-            high = middle
-    return float(np.exp(high))
 
 
 def _patch_rows(
