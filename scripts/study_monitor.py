@@ -46,7 +46,7 @@ def main() -> None:
     ended = threading.Event()
     threading.Thread(target=touch, args=(sorted((made / "new").rglob("*.png")), ended), daemon=True).start()
     command = [*RGBD_CALIB, "monitor", made / "truth.yaml", made / "new", "--snapshot", made / "old"]
-    options = f"--every 0 --rounds {args.rounds} --frames 3 --json".split()
+    options = f"--every 0 --rounds {args.rounds} --frames 2 --json".split()
     command += [*options, "--metrics", args.work / "rig.prom"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None

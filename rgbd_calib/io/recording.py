@@ -70,6 +70,11 @@ class Recording:
         return tuple(name for name, info in self.cameras.items() if info.mount is None)
 
     @property
+    def cameras_with_depth(self) -> list[str]:
+        """Those that have depth images."""
+        return [name for name in self.cameras if self.depth_files[name]]
+
+    @property
     def depth_registered(self) -> bool:
         """Depth of every camera has the geometry of its colour image."""
         return all(info.depth is None for info in self.cameras.values())

@@ -84,7 +84,7 @@ def calibrate(
     )
     expected = None
     if joint is not None:
-        with_depth = [name for name in recording.cameras if recording.depth_files[name]]
+        with_depth = recording.cameras_with_depth
         corners_m = np.concatenate([se3.transform(T, board.corners_m()) for T in boards.values()])
         expected = details.expectation(rig, joint, corners_m, with_depth)
     checked = self_check.of_calibration(

@@ -58,7 +58,7 @@ def calibrate_carried(
     views = Views(detections, own.lenses, own.depth, own.filtered, own.start.association)
     data = correspond(named, board, views.given)
     residuals, joint = details.residuals_of_bundle(solved, board), details.joint_of_bundle(solved)
-    with_depth = [name for name in recording.cameras if recording.depth_files[name]]
+    with_depth = recording.cameras_with_depth
     corners_m = np.concatenate([se3.transform(T, board.corners_m()) for T in boards.values()])
     expected = details.expectation(rig, joint, corners_m, with_depth)
     quality = replace(

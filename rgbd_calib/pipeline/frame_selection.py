@@ -133,7 +133,7 @@ def select(
     )
     kept = set(choice.chosen)
     views = tuple(placed for placed in association.views if placed.view.frame in kept)
-    with_depth = [name for name in recording.cameras if recording.depth_files[name]]
+    with_depth = recording.cameras_with_depth
     ratio = _ratio(choice, association, lenses, depth.biases, with_depth, board)
     return replace(association, views=views), Selection(choice.chosen, choice.left_out, ratio)
 

@@ -97,9 +97,7 @@ def check_sources(recording: Recording, intrinsics: Path | None, depth_bias: Pat
     for source, what in ((intrinsics, "intrinsics"), (depth_bias, "depth_bias")):
         if source is not None and source.is_dir():
             other = split(open_recording(source))
-            cameras = (
-                color if what == "intrinsics" else [name for name in recording.cameras if recording.depth_files[name]]
-            )
+            cameras = color if what == "intrinsics" else recording.cameras_with_depth
             _need(source, "images", cameras, other.cameras)
             for name in cameras:
                 _check_size(source, name, other.cameras[name], recording)
@@ -109,7 +107,7 @@ def check_sources(recording: Recording, intrinsics: Path | None, depth_bias: Pat
         for name in color:
             _check_size(intrinsics, name, given[name], recording)
     if depth_bias is not None and not depth_bias.is_dir():
-        cameras = [name for name in recording.cameras if recording.depth_files[name]]
+        cameras = recording.cameras_with_depth
         _need(depth_bias, "depth_bias", cameras, _by_depth_camera(read_depth_bias(depth_bias), recording))
 
 
@@ -300,7 +298,7 @@ def resolve_depth(
     if source is None:
         return NO_DEPTH_SOURCE
     check_sources(recording, None, source)
-    cameras = [name for name in recording.cameras if recording.depth_files[name]]
+    cameras = recording.cameras_with_depth
     walls: dict[str, tuple[SeenWall, ...]] = {}
     if source.is_dir():
         other = split(open_recording(source))

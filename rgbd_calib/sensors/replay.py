@@ -102,7 +102,7 @@ class ReplayedCamera:
     def _choose_frames(self) -> None:
         """Those that all cameras have."""
         own = self._recording
-        with_depth = [c for c in own.cameras if own.depth_files[c]] if self._has_depth else []
+        with_depth = own.cameras_with_depth if self._has_depth else []
         self._frames = [
             f
             for f in own.frames
