@@ -30,8 +30,9 @@ class Cluster:
             "PYTHONPATH": os.pathsep.join([*map(str, folders), *filter(None, [os.environ.get("PYTHONPATH")])]),
         }
         self._start("scheduler", "--port", "0", "--scheduler-file", folder / "scheduler.json", "--no-dashboard")
-        wait_for((folder / "scheduler.json").exists)
-        self.address = json.loads((folder / "scheduler.json").read_text())["address"]
+        written = folder / "scheduler.json"
+        wait_for(lambda: written.exists() and written.read_text().endswith("}"))  # it is there before its text is
+        self.address = json.loads(written.read_text())["address"]
         self.workers = [self.start_worker() for _ in range(2)]
 
     def start_worker(self):

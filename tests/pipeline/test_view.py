@@ -112,9 +112,10 @@ def test_points_are_where_fuse_puts_them(run, tiny, tmp_path):
 
 
 SERVE = """
-import sys
+import signal, sys
 from rgbd_calib.report import viewer
 from rgbd_calib.cli.main import main
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
 viewer.WEB_PORT, viewer.DATA_PORT = map(int, sys.argv[1:3])
 sys.argv = ["rgbd-calib", *sys.argv[3:]]
 main()

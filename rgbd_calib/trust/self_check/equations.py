@@ -101,6 +101,50 @@ class Projected:
 
 
 @dataclass(frozen=True)
+class Model:
+    """The solution, before errors are taken into it."""
+
+    rows: ViewRows
+    plain: Covariance
+    free: BoolArray
+    """(P,)."""
+
+    @cached_property
+    def reduced_low(self) -> FloatArray:
+        """(V, parts, P), the model's columns in the pose parts, the units eliminated."""
+        own, base = self.rows, self.plain.equations
+        out = own.low_globals * self.free
+        for of_kind, units in enumerate(own.units.T):
+            parts = np.flatnonzero(own.kind == of_kind)
+            group = base.pattern.group[units]
+            for g in np.unique(group):
+                mine = np.flatnonzero(group == g)
+                WV = base.WV[g][base.pattern.place[units[mine]]]
+                through = own.low_unit[np.ix_(mine, parts)] @ WV.transpose(0, 2, 1)
+                out[np.ix_(mine, parts, base.pattern.columns[g])] -= through
+        return np.asarray(out * self.free)
+
+    @cached_property
+    def step(self) -> tuple[FloatArray, FloatArray]:
+        """What the solution still lacks of the minimum, (P,) and (F, D): zero but for rounding and what was held."""
+        x = -self.plain.of_globals @ self.plain.equations.reduced_gradient
+        return x, self.plain.equations.units_after(x)
+
+    @cached_property
+    def pose_parts(self) -> tuple[FloatArray, FloatArray]:
+        """Of the views (V, parts): the pose parts at the minimum, and how much of their variance the model absorbs."""
+        own, reduced = self.rows, self.reduced_low
+        absorbed = np.sum((reduced @ self.plain.of_globals) * reduced, axis=2)
+        for k, units in enumerate(own.units.T):
+            parts = own.kind == k
+            low_unit = own.low_unit[:, parts]
+            absorbed[:, parts] += np.sum(low_unit @ self.plain.equations.V_inv[units] * low_unit, axis=2)
+        x, b = self.step
+        left = own.low_residual + own.low_globals @ x + np.einsum("vdi,vdi->vd", own.low_unit, b[own.unit_of_part])
+        return left, absorbed
+
+
+@dataclass(frozen=True)
 class Equations:
     """A solution's equations; V views."""
 
@@ -115,14 +159,10 @@ class Equations:
     """Names of the frames, in order of time."""
     columns: Mapping[str, slice]
     """Columns of possible errors by name."""
-    rows: ViewRows
-    plain: Covariance
-    """Of the model."""
+    model: Model
     prior: FloatArray
     """(P, P), information."""
     prior_gradient: FloatArray
-    """(P,)."""
-    free: BoolArray
     """(P,)."""
     corners: IntArray
     """(V,), corners behind `size`."""
@@ -150,6 +190,20 @@ class Equations:
         return np.asarray(self.ratio**-2.0 - 1)
 
     @property
+    def rows(self) -> ViewRows:
+        return self.model.rows
+
+    @property
+    def plain(self) -> Covariance:
+        """Of the model."""
+        return self.model.plain
+
+    @property
+    def free(self) -> BoolArray:
+        """(P,)."""
+        return self.model.free
+
+    @property
     def base(self) -> NormalEquations:
         return self.plain.equations
 
@@ -157,27 +211,6 @@ class Equations:
     def common_of_all(self) -> FloatArray:
         """(K, P), `common` of all views."""
         return self.common(np.arange(len(self.camera)))
-
-    @cached_property
-    def reduced_low(self) -> FloatArray:
-        """(V, parts, P), the model's columns in the pose parts, the units eliminated."""
-        own, base = self.rows, self.base
-        out = own.low_globals * self.free
-        for of_kind, units in enumerate(own.units.T):
-            parts = np.flatnonzero(own.kind == of_kind)
-            group = base.pattern.group[units]
-            for g in np.unique(group):
-                mine = np.flatnonzero(group == g)
-                WV = base.WV[g][base.pattern.place[units[mine]]]
-                through = own.low_unit[np.ix_(mine, parts)] @ WV.transpose(0, 2, 1)
-                out[np.ix_(mine, parts, base.pattern.columns[g])] -= through
-        return np.asarray(out * self.free)
-
-    @cached_property
-    def step(self) -> tuple[FloatArray, FloatArray]:
-        """What the solution still lacks of the minimum, (P,) and (F, D): zero but for rounding and what was held."""
-        x = -self.plain.of_globals @ self.base.reduced_gradient
-        return x, self.base.units_after(x)
 
     @cached_property
     def dof(self) -> FloatArray:
@@ -202,7 +235,7 @@ class Equations:
         Y = self._unit_part(X, units)
         solved = base.unit_solved(units)
         information = gram - np.einsum("fdp,fdq->pq", units, solved, optimize=True) - cross.T @ X
-        x, b = self.step
+        x, b = self.model.step
         score = own.score[views][:, columns].sum(axis=0) + np.einsum("vlq,vl->q", by_globals, x[own.index[views]])
         score += np.einsum("vkqd,vkd->q", own.by_unit[views][:, :, columns], b[own.units[views]])
         low = np.zeros((len(where), own.low.shape[1], q))
@@ -258,7 +291,13 @@ class Equations:
         prior[parameters], prior[:, parameters], gradient[parameters] = 0.0, 0.0, gradient[parameters] * WEAK
         prior[parameters, parameters] = keep
         changed = self.base.plus(prior - self.prior, gradient - self.prior_gradient)
-        other = replace(self, prior=prior, prior_gradient=gradient, plain=changed.covariance(self.free), taken=())
+        other = replace(
+            self,
+            prior=prior,
+            prior_gradient=gradient,
+            model=replace(self.model, plain=changed.covariance(self.free)),
+            taken=(),
+        )
         return replace(other, taken=tuple(other.project(t.columns, t.where) for t in self.taken))
 
     def weighed(self) -> Equations:
@@ -285,18 +324,11 @@ class Score:
 
 def pose_residuals(eq: Equations) -> tuple[FloatArray, FloatArray]:
     """Squares of the views' pose parts (V, parts), and what they would be, m, had views no errors of their own."""
-    own, reduced = eq.rows, eq.reduced_low
-    absorbed = np.sum((reduced @ eq.plain.of_globals) * reduced, axis=2)
-    for k, units in enumerate(own.units.T):
-        parts = own.kind == k
-        low_unit = own.low_unit[:, parts]
-        absorbed[:, parts] += np.sum(low_unit @ eq.base.V_inv[units] * low_unit, axis=2)
-    x, b = eq.step
-    now = own.low_residual + own.low_globals @ x + np.einsum("vdi,vdi->vd", own.low_unit, b[own.unit_of_part])
+    own, (now, absorbed) = eq.rows, eq.model.pose_parts
     if eq.taken:
         inverse, score, low = eq.of_taken()
-        absorbed += np.einsum("vdp,pq,vdq->vd", low, inverse, low, optimize=True)
-        now -= low @ (inverse @ score)
+        absorbed = absorbed + np.einsum("vdp,pq,vdq->vd", low, inverse, low, optimize=True)
+        now = now - low @ (inverse @ score)
     there = (np.any(own.low_globals != 0, axis=2) | np.any(own.low_unit != 0, axis=2)) & eq.shared[:, None]
     return np.where(there, now**2, 0.0), np.where(there, np.clip(1 - absorbed, 0.0, 1.0), 0.0)
 

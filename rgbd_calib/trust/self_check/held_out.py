@@ -77,7 +77,7 @@ def delete(eq: Equations, gone: BoolArray) -> Deletion:
     held = np.diag(1.0 - free)
     left = symmetric_inverse(S_left * np.outer(free, free) + held) * np.outer(free, free)
     step = -left @ (g_left * free)
-    low = np.concatenate([eq.reduced_low, *(_low(eq, k) for k in range(len(eq.taken)))], axis=2) * free
+    low = np.concatenate([eq.model.reduced_low, *(_low(eq, k) for k in range(len(eq.taken)))], axis=2) * free
 
     def excess(views: BoolArray) -> FloatArray:
         return np.asarray(np.einsum("d,vdp,vdq->pq", eq.excess, low[views], low[views], optimize=True))

@@ -116,7 +116,7 @@ def _of(eq: Equations, own: IntArray) -> tuple[FloatArray, FloatArray, FloatArra
     """Of some globals, with what was taken into the model: the step left, and the covariance, by what views are weighed by,
     with the excess, and if pose parts varied as single residuals do."""
     rows, C = eq.rows, eq.plain.of_globals[own]
-    step, plain = eq.step[0][own], C[:, own]
+    step, plain = eq.model.step[0][own], C[:, own]
     low = rows.low_globals @ C.T  # Q' J C, (V, parts, k)
     for k, units in enumerate(rows.units.T):
         parts, cross = rows.kind == k, eq.plain.cross(units)[:, own]

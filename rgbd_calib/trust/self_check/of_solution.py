@@ -17,7 +17,7 @@ from rgbd_calib.rig.pose_rows import N_PARTS, dense, part_of
 from rgbd_calib.rig.problem import OF_BOARDS, Problem, State
 from rgbd_calib.rig.solution import Solution
 from rgbd_calib.rig.weights import DEPTH_PARTS, N_DEPTH, N_PIXEL, PIXEL_PARTS
-from rgbd_calib.trust.self_check.equations import ALONE, Equations, ViewRows
+from rgbd_calib.trust.self_check.equations import ALONE, Equations, Model, ViewRows
 
 MAX_VIEWS = 800
 """Of more views, every second, third, ... frame is checked: the equations of 800 take some 100 MB."""
@@ -76,11 +76,13 @@ def equations_of(solution: Solution, held: Sequence[Block], frames: Sequence[str
         obs.shared,
         tuple(frames),
         columns,
-        _view_rows(problem, state, tested, columns, views, metres),
-        base.covariance(problem.prior.free),
+        Model(
+            _view_rows(problem, state, tested, columns, views, metres),
+            base.covariance(problem.prior.free),
+            problem.prior.free,
+        ),
         problem.prior.information,
         gradient,
-        problem.prior.free,
         _used(problem)[views].sum(axis=1),
         distance[views],
         GROUPS,

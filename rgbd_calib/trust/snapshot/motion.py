@@ -15,10 +15,9 @@ another pixel; a, b, c, d with their priors stand for that and for warm-up. A tr
 that move by part of a pixel are off by some hundredths, all alike: s, with a prior that is zero for an image that stays.
 
 C makes the errors of a track independent and of one size: its covariance is what the images' noise gives (along an edge a track
-tells little) and, across and down the image, a floor that all tracks share: texture is sampled anew when a camera moves. Both
-floors are estimated. Weights are Tukey's. Each kind of row has a variance component: sigma
-from the residuals, times an inflation for what neighbouring rows share. With n_c rows of mean r_c in cell c of the image,
-sum n_c r_c^2 / (cells sigma^2) is 1 where errors are independent, and otherwise says how much less the rows of a cell are worth.
+tells little) and, across and down the image, a floor that all tracks share, since texture is sampled anew when a camera moves.
+Both floors are estimated. Weights are Tukey's. Each kind of row has a variance component: sigma^2 from the residuals, times an
+inflation for the weights and for what the rows of a cell of the image share.
 """
 
 from __future__ import annotations
