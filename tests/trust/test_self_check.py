@@ -36,7 +36,7 @@ from rgbd_calib.trust.self_check import (
     score_test,
 )
 from rgbd_calib.trust.self_check.calibration import check_bundle, of_calibration
-from rgbd_calib.trust.self_check.equations import Model, ViewRows
+from rgbd_calib.trust.self_check.model import Model, ViewRows
 from rgbd_calib.trust.self_check.of_solution import equations_of, held_blocks
 from rgbd_calib.trust.verdict import judge
 from rgbd_calib.views.association import AssociationResult

@@ -17,7 +17,8 @@ from rgbd_calib.rig.pose_rows import N_PARTS, dense, part_of
 from rgbd_calib.rig.problem import OF_BOARDS, Problem, State
 from rgbd_calib.rig.solution import Solution
 from rgbd_calib.rig.weights import DEPTH_PARTS, N_DEPTH, N_PIXEL, PIXEL_PARTS
-from rgbd_calib.trust.self_check.equations import ALONE, Equations, Model, ViewRows
+from rgbd_calib.trust.self_check.equations import ALONE, Equations
+from rgbd_calib.trust.self_check.model import Model, ViewRows
 
 MAX_VIEWS = 800
 """Of more views, every second, third, ... frame is checked: the equations of 800 take some 100 MB."""
