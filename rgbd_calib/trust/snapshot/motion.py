@@ -54,6 +54,8 @@ _LEAST = 0.3
 _FLOORS_PX = 0.003, 2.0
 """Between these, the tracks' errors beyond the noise."""
 _ROUNDS, _STEPS = 8, 3
+_SETTLED = 1e-4
+"""Square of the last step of a round, in standard deviations, that ends them."""
 _GATE_PX = 4.0
 
 
@@ -139,6 +141,8 @@ def fit_motion(tracks: Tracks, lens: Intrinsics, old: Surface, new: Surface, sta
                 g += np.einsum("nri,nr->i", wJ, rows.r)
             step = -symmetric_inverse(H) @ g
             T, nuisance = se3.retract(T, step[:6]), nuisance + step[6:]
+        if step @ H @ step < _SETTLED:
+            break
     covariance = symmetric_inverse(H)
     sd = np.sqrt(np.diag(covariance))
     correlation = covariance[:6, 6:10] / np.maximum(np.outer(sd[:6], sd[6:10]), 1e-30)
