@@ -103,6 +103,7 @@ def test_a_lonely_edge_tells_nothing_along_itself():
     at = np.stack([np.full(20, 80.0), rng.uniform(20, 100, 20)], axis=1).round()
     C = noise_px2(*_noisy_pair(edge, 2, rng), Matches(at, at))
     assert np.all(C[:, 0, 0] < 0.05**2) and np.all(C[:, 1, 1] > 0.3**2)
+    assert noise_px2(edge.astype(np.uint8), edge.astype(np.uint8), Matches(at[:0], at[:0])).shape == (0, 2, 2)
     flat = noise_px2(*_noisy_pair(np.zeros((120, 160)), 0, rng), Matches(at, at))
     assert np.all(np.isfinite(flat)) and np.linalg.eigvalsh(flat).min() > 10**2
 

@@ -155,6 +155,8 @@ def noise_px2(old: np.ndarray, new: np.ndarray, tracks: Matches) -> FloatArray:
 
 def _windows(image: np.ndarray, at_px: FloatArray) -> FloatArray:
     """(n, 13, 13) about pixels (n, 2)."""
+    if not len(at_px):
+        return np.zeros((0, _WINDOW_PX, _WINDOW_PX))
     reach = np.arange(_WINDOW_PX) - _WINDOW_PX // 2
     x = np.asarray(at_px[:, 0, None] + np.tile(reach, _WINDOW_PX), np.float32)
     y = np.asarray(at_px[:, 1, None] + np.repeat(reach, _WINDOW_PX), np.float32)
