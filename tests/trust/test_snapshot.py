@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -121,6 +122,14 @@ def test_the_noise_of_tracks_is_known_to_a_factor_of_two(sigma):
     assert len(found) > 500
     for k in (0, 1):
         assert 0.5 < np.median(error[:, k] ** 2 / C[:, k, k]) / 0.455 < 2
+
+
+def test_a_black_image_is_no_traceback_and_tells_nothing_by_pixels(bumped):
+    rig, old = read_rig(bumped / "truth.yaml"), read_snapshot(open_recording(bumped / "old"), "C1")
+    black = replace(old, color=np.zeros_like(old.color))
+    for before, after in ((old, black), (black, black)):
+        found = camera_motion("C1", Before(rig.cameras["C1"], before), after)
+        assert found.motion.tracks.rows == 0 and found.motion.patches.rows > 0
 
 
 def test_light_and_gain_do_not_matter_to_features(bumped):

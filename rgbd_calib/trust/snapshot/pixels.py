@@ -144,7 +144,7 @@ def noise_px2(old: np.ndarray, new: np.ndarray, tracks: Matches) -> FloatArray:
     """
     a, b = _windows(old, tracks.old_px), _windows(new, tracks.new_px)
     down, across = np.gradient(a, axis=(1, 2))
-    slope = np.stack([across, down], axis=1).reshape(len(a), 2, -1)
+    slope = np.stack([across, down], axis=1).reshape(len(a), 2, _WINDOW_PX**2)
     g, V = np.linalg.eigh(slope @ slope.transpose(0, 2, 1))
     noise2 = np.var(a - b, axis=(1, 2))[:, None] / 2
     g = np.maximum(g - _NOISE_SLOPE2 * _WINDOW_PX**2 * noise2, 0.0)
