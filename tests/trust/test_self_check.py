@@ -31,7 +31,7 @@ from rgbd_calib.trust.self_check import (
     score_test,
 )
 from rgbd_calib.trust.self_check.calibration import check_bundle
-from rgbd_calib.trust.self_check.model import Model, ViewRows
+from rgbd_calib.trust.self_check.model import SolvedModel, ViewRows
 from rgbd_calib.trust.self_check.of_solution import equations_of, held_blocks
 from rgbd_calib.views.association import AssociationResult
 
@@ -100,7 +100,7 @@ def dense_problem(seed: int, excess: float = 0.0) -> tuple[Equations, np.ndarray
     free = np.ones(P, bool)
     eq = Equations(
         ("C1", "C2"), camera, frame, np.ones(VIEWS, bool), tuple("01234"), {"extra": slice(0, 2)},
-        Model(rows, base.covariance(free), free), prior, gradient, np.full(VIEWS, ROWS), np.ones(VIEWS), np.zeros(2, int),
+        SolvedModel(rows, base.covariance(free), free), prior, gradient, np.full(VIEWS, ROWS), np.ones(VIEWS), np.zeros(2, int),
         np.ones(2), np.full(2, excess), part, part, lambda views: np.zeros((0, P)),
     )  # fmt: skip
     return eq, J_all, r, A, sigma

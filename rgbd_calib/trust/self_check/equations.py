@@ -29,7 +29,7 @@ from scipy.stats import chi2
 
 from rgbd_calib.geometry.linear import BoolArray, Covariance, IntArray, NormalEquations
 from rgbd_calib.geometry.so3 import FloatArray
-from rgbd_calib.trust.self_check.model import Model, ViewRows
+from rgbd_calib.trust.self_check.model import SolvedModel, ViewRows
 
 ALONE = -1
 """Time index of views of another recording: of each camera alone."""
@@ -78,7 +78,7 @@ class Equations:
     """Names of the frames, in order of time."""
     columns: Mapping[str, slice]
     """Columns of possible errors by name."""
-    model: Model
+    model: SolvedModel
     prior: FloatArray
     """(P, P), information."""
     prior_gradient: FloatArray

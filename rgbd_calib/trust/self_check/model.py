@@ -50,7 +50,7 @@ class ViewRows:
 
 
 @dataclass(frozen=True)
-class Model:
+class SolvedModel:
     """The solution, before errors are taken into it."""
 
     rows: ViewRows

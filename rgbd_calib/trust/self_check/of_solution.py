@@ -18,7 +18,7 @@ from rgbd_calib.rig.problem import OF_BOARDS, Problem, State
 from rgbd_calib.rig.solution import Solution
 from rgbd_calib.rig.weights import DEPTH_PARTS, N_DEPTH, N_PIXEL, PIXEL_PARTS
 from rgbd_calib.trust.self_check.equations import ALONE, Equations
-from rgbd_calib.trust.self_check.model import Model, ViewRows
+from rgbd_calib.trust.self_check.model import SolvedModel, ViewRows
 
 MAX_VIEWS = 800
 """Of more views, every second, third, ... frame is checked: the equations of 800 take some 100 MB."""
@@ -77,7 +77,7 @@ def equations_of(solution: Solution, held: Sequence[Block], frames: Sequence[str
         obs.shared,
         tuple(frames),
         columns,
-        Model(
+        SolvedModel(
             _view_rows(problem, state, tested, columns, views, metres),
             base.covariance(problem.prior.free),
             problem.prior.free,
