@@ -106,7 +106,7 @@ class BundleParams:
     max_iterations: int = 30
     tolerance: float = 1e-9
     """Relative change of the cost that ends the last minimisation."""
-    round_tolerance: float = 1e-3
+    round_tolerance: float = 1e-5
     """The same before, while the weights still change."""
     weight_tolerance: float = 0.005
     """Relative change of any sigma that ends the rounds."""
