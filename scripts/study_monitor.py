@@ -16,7 +16,7 @@ import sys
 import threading
 from pathlib import Path
 
-RGBD_CALIB = [sys.executable, "-m", "rgbd_calib"]
+from study_clouds import made
 
 
 def touch(files: list[Path], ended: threading.Event) -> None:
@@ -39,13 +39,21 @@ def main() -> None:
     parser.add_argument("--cameras", type=int, default=2)
     parser.add_argument("--width", type=int, default=160)
     args = parser.parse_args()
-    made = args.work / "snapshots"
-    if not made.exists():
-        size = ["--cameras", str(args.cameras), "--width", str(args.width)]
-        subprocess.run([*RGBD_CALIB, "simulate", made, "--snapshot", *size], check=True)
+    folder = args.work / "snapshots"
+    if not folder.exists():
+        made("simulate", folder, "--snapshot", "--cameras", args.cameras, "--width", args.width)
     ended = threading.Event()
-    threading.Thread(target=touch, args=(sorted((made / "new").rglob("*.png")), ended), daemon=True).start()
-    command = [*RGBD_CALIB, "monitor", made / "truth.yaml", made / "new", "--snapshot", made / "old"]
+    threading.Thread(target=touch, args=(sorted((folder / "new").rglob("*.png")), ended), daemon=True).start()
+    command = [
+        sys.executable,
+        "-m",
+        "rgbd_calib",
+        "monitor",
+        folder / "truth.yaml",
+        folder / "new",
+        "--snapshot",
+        folder / "old",
+    ]
     options = f"--every 0 --rounds {args.rounds} --frames 2 --json".split()
     command += [*options, "--metrics", args.work / "rig.prom"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:

@@ -1,6 +1,6 @@
 """Is a rig that snapshots corrected as good as it was? The figures of docs/guides/drift.md.
 
-    python scripts/study_snapshot_update.py --work DIR --seeds 4
+    python scripts/study_snapshot_update.py --work DIR --seeds 0 1 2 3
 
 Simulated rigs of 4 cameras on an arc with the errors of real ones are calibrated; one camera moves, by up to 30 mm and 2 degrees; the
 rig is corrected by `calibrate NEW --update RIG --snapshot OLD`. Both are compared with the truth. What is in DIR already is not made

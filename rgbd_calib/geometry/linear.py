@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,9 +149,10 @@ def _alike(rows: IntArray) -> list[IntArray]:
     return [np.array(own) for own in members.values()]
 
 
-def _add_to(total: FloatArray, at: Any, values: FloatArray, distinct: bool) -> None:
-    """total[at] += values, ten times faster where no place occurs twice."""
-    if distinct:
+def _add_to(total: FloatArray, units: IntArray, values: FloatArray, columns: IntArray | None = None) -> None:
+    """Adds values of units (n,), or of units and columns (n, k): ten times faster where no unit occurs twice."""
+    at = units if columns is None else (units[:, None], columns)
+    if len(set(units.tolist())) == len(units):
         total[at] += values
     else:
         np.add.at(total, at, values)
@@ -175,18 +175,16 @@ class Assembly:
         every = J.reshape(-1, J.shape[-1])
         self._U[np.ix_(at, at)] += sign * (every.T @ every)
         self._g[at] += sign * (r.ravel() @ every)
-        distinct = len(set(rows.units.tolist())) == len(rows.units)
-        _add_to(self._V, rows.units, sign * (J_unit.transpose(0, 2, 1) @ J_unit), distinct)
-        _add_to(self._h, rows.units, sign * (r[:, None] @ J_unit)[:, 0], distinct)
-        by_unit = sign * (J.transpose(0, 2, 1) @ J_unit)
-        self._couple(rows.units, np.broadcast_to(at, (len(r), len(at))), by_unit, distinct)
+        _add_to(self._V, rows.units, sign * (J_unit.transpose(0, 2, 1) @ J_unit))
+        _add_to(self._h, rows.units, sign * (r[:, None] @ J_unit)[:, 0])
+        self._couple(rows.units, np.broadcast_to(at, (len(r), len(at))), sign * (J.transpose(0, 2, 1) @ J_unit))
         if rows.J_point.shape[-1]:
-            self._add_points(rows, sign, distinct)
+            self._add_points(rows, sign)
 
-    def _add_points(self, rows: Rows, sign: float, distinct: bool) -> None:
+    def _add_points(self, rows: Rows, sign: float) -> None:
         n, N, _, s = rows.J_point.shape
         by_unit = sign * np.einsum("nirs,nird->nisd", rows.J_point, rows.J_unit).reshape(n, N * s, -1)
-        self._couple(rows.units, rows.point_columns.reshape(n, -1), by_unit, distinct)
+        self._couple(rows.units, rows.point_columns.reshape(n, -1), by_unit)
         # views that see the same points are added up before they are scattered
         for mine in _alike(rows.point_columns.reshape(n, -1)):
             own = rows.point_columns[mine[0]]
@@ -200,14 +198,14 @@ class Assembly:
             r = rows.r[mine].transpose(1, 0, 2).reshape(N, -1, 1)
             self._g[own] += (signed @ r)[..., 0]
 
-    def _couple(self, units: IntArray, columns: IntArray, values: FloatArray, distinct: bool) -> None:
+    def _couple(self, units: IntArray, columns: IntArray, values: FloatArray) -> None:
         """Adds (n, k, D) to W at units (n,) and globals (n, k)."""
         own = self._pattern
         group = own.group[units]
         for g in np.flatnonzero(np.bincount(group)):
             mine = group == g
             at = own.position[g, columns[mine]]
-            _add_to(self._W[g], (own.place[units[mine]][:, None], at), values[mine], distinct)
+            _add_to(self._W[g], own.place[units[mine]], values[mine], at)
 
     def equations(self) -> NormalEquations:
         curvature = np.diag(self._U).copy()

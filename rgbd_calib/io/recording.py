@@ -70,9 +70,9 @@ class Recording:
         return tuple(name for name, info in self.cameras.items() if info.mount is None)
 
     @property
-    def cameras_with_depth(self) -> list[str]:
+    def cameras_with_depth(self) -> tuple[str, ...]:
         """Those that have depth images."""
-        return [name for name in self.cameras if self.depth_files[name]]
+        return tuple(name for name in self.cameras if self.depth_files[name])
 
     @property
     def depth_registered(self) -> bool:
