@@ -8,21 +8,13 @@ from __future__ import annotations
 
 import csv
 import json
-import os
-import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from small_recording import draw_recording
 from virtual_rig import (
-    SOURCES,
-    VirtualRig,
-    build,
     check_whole,
-    feed,
     finish,
     last_session,
     read_raw,
@@ -34,23 +26,6 @@ from rgbd_calib.io.recording import open_recording
 
 BOARD = ("--board", "9x6", "--square", "0.06")
 QUICK = ("--settle", "0.3", "--interval", "0.1")
-
-
-@pytest.fixture(scope="session")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording of four cameras, four frames, and the same as raw pictures beside it."""
-    folder = draw_recording(tmp_path_factory.mktemp("drawn") / "recording", cameras=4, frames=4)
-    feed(open_recording(folder), folder.parent / "raw")
-    return folder
-
-
-@pytest.fixture
-def rig(redist: Path, drawn: Path, tmp_path: Path) -> Iterator[VirtualRig]:
-    """Two cameras; tests change what they need."""
-    rig = VirtualRig(redist, tmp_path)
-    rig.settings(devices=2, data=drawn.parent / "raw")
-    yield rig
-    rig.close()
 
 
 def events(folder: Path) -> str:
@@ -81,7 +56,7 @@ def test_devices_says_what_is_wrong(rig):
     assert ended.status == 2 and "no OpenNI2 runtime" in ended.stderr and "apt-get install libopenni2-0" in ended.stderr
 
 
-def test_pictures_arrive_bit_by_bit_and_calibrate_to_the_same_poses(rig, drawn, run):
+def test_pictures_arrive_bit_by_bit_and_calibrate_to_the_same_poses(rig, played, run):
     """Four cameras with PS1080's defaults (QVGA, mirrored, unregistered); each pose is taken once."""
     rig.settings(devices=4, scene=0, phase_us="0,9000,17000,25000", drift_ppm="0,40,-60,100", ae_shows=1)
     out = rig.folder / "out"
@@ -91,7 +66,7 @@ def test_pictures_arrive_bit_by_bit_and_calibrate_to_the_same_poses(rig, drawn, 
         rig.command(f"scene {n}")
     ended = finish(process)
     assert ended.status == 0, ended.stderr
-    source, recording = open_recording(drawn), check_whole(out)
+    source, recording = open_recording(played), check_whole(out)
     assert recording.board == source.board
     assert {c: i.serial for c, i in recording.cameras.items()} == {f"C{i + 1}": f"VX000000100{i}" for i in range(4)}
     poses = set()
@@ -115,7 +90,7 @@ def test_pictures_arrive_bit_by_bit_and_calibrate_to_the_same_poses(rig, drawn, 
     # a few ms on a loaded machine, and more than a period is refused
     with (out / "frame_sets.csv").open() as stream:
         assert all(0 < int(row["spread_us"]) <= 33_334 for row in csv.DictReader(stream))
-    _check_same_poses(rig.folder, drawn, out, run)
+    _check_same_poses(rig.folder, played, out, run)
 
 
 def _check_same_poses(folder: Path, recording: Path, captured: Path, run) -> None:
@@ -205,127 +180,17 @@ def test_unregistered_depth_only_when_asked_for(rig):
     assert "depth_registered: false" in (out / "dataset.yaml").read_text()
 
 
-def test_a_camera_without_depth_beside_one_that_has_it(rig, drawn):
+def test_a_camera_without_depth_beside_one_that_has_it(rig, played):
     rig.settings(nodepth=1)
     out = rig.folder / "out"
     ended = rig.run("capture", out, "--count", 2, *QUICK)
     assert ended.status == 0, ended.stderr
     assert "C2: has no depth sensor; its colour alone is recorded" in ended.stderr
-    recording, source = check_whole(out), open_recording(drawn)
+    recording, source = check_whole(out), open_recording(played)
     assert recording.cameras["C1"].depth_stated and not recording.cameras["C2"].depth_stated
     assert len(recording.depth_files["C1"]) == 2 and not recording.depth_files["C2"]
     sent = {source.color("C2", frame).tobytes() for frame in source.frames}
     assert all(recording.color("C2", frame).tobytes() in sent for frame in recording.frames)
-
-
-def test_unplugged_and_plugged_in_again(rig):
-    out = rig.folder / "out"
-    process = rig.start("capture", out, *QUICK)
-    rig.wait_for_frame_sets(out, 2)
-    rig.command("unplug 1")
-    rig.wait_for_text(out / "capture.yaml", "unplugged; the other")
-    rig.command("plug 1")
-    rig.wait_for_text(out / "capture.yaml", "event: plugged in again")
-    n = len(list((out / "C2" / "color").glob("0*.png")))
-    deadline = time.monotonic() + 60
-    while len(list((out / "C2" / "color").glob("0*.png"))) < n + 2 and time.monotonic() < deadline:
-        time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
-    ended = finish(process)
-    assert ended.status == 0, ended.stderr
-    recording = check_whole(out)
-    assert n + 2 <= len(recording.color_files["C2"]) < len(recording.color_files["C1"])
-    assert last_session(out)["counts"]["absent"]["C2"] >= 1
-    assert "C2: missing in" in ended.stderr
-
-
-def test_cameras_opened_and_closed_again_and_again(rig):
-    """As by `monitor`: the runtime crashes once a thread waits for frames after another one that waited has ended."""
-    program = f"""
-from pathlib import Path
-from rgbd_calib.capture.still_scene import take_snapshots
-for _ in range(6):
-    print(*take_snapshots(("openni2",), Path({str(rig.redist)!r}), {{}}, {{}}, 2, settle_s=0.1))
-"""
-    ended = rig.run(python=program)
-    assert ended.status == 0, ended.stderr
-    assert ended.stdout.splitlines() == ["C1 C2"] * 6
-
-
-def test_colour_stalls_and_comes_back(rig):
-    out = rig.folder / "out"
-    process = rig.start("capture", out, *QUICK)
-    rig.wait_for_frame_sets(out, 2)
-    rig.command("stall 0 color")
-    rig.wait_for_text(out / "capture.yaml", "color stalled")
-    rig.command("resume 0 color")
-    rig.wait_for_text(out / "capture.yaml", "color delivers again")
-    process.send_signal(signal.SIGINT)
-    ended = finish(process)
-    assert ended.status == 0 and "C1: color stalled" in ended.stderr
-    check_whole(out)
-
-
-def test_all_cameras_gone(rig):
-    out = rig.folder / "out"
-    process = rig.start("capture", out, "--give-up", 2, *QUICK)
-    rig.wait_for_frame_sets(out, 1)
-    rig.command("unplug 0")
-    rig.command("unplug 1")
-    ended = finish(process)
-    assert ended.status == 1 and "no frames for 2 s; what was recorded before is whole" in ended.stderr
-    assert last_session(out)["status"] == "failed"
-    check_whole(out)
-
-
-def test_ctrl_c_then_append(rig, drawn):
-    out = rig.folder / "out"
-    process = rig.start("capture", out, *QUICK)
-    rig.wait_for_frame_sets(out, 2)
-    process.send_signal(signal.SIGINT)
-    ended = finish(process)
-    assert ended.status == 0 and "ended by Ctrl-C" in ended.stderr
-    assert last_session(out)["status"] == "interrupted"
-    n = len(check_whole(out).frames)
-    assert "exists already" in rig.run("capture", out, "--count", 1).stderr
-    assert rig.run("capture", out, "--append", "--count", 2, *QUICK).status == 0
-    recording = check_whole(out)
-    assert len(recording.frames) == n + 2
-    times_us = [t for t, _ in recording.timestamps_us("C1").values()]
-    assert times_us == sorted(times_us) and last_session(out)["status"] == "complete"
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_a_kill_leaves_whole_frame_sets(rig, seed):
-    out = rig.folder / "out"
-    process = rig.start("capture", out, "--settle", 0.3, "--interval", 0)
-    rig.wait_for_frame_sets(out, 2)
-    time.sleep(np.random.default_rng(seed).uniform(0, 0.2))
-    os.killpg(process.pid, signal.SIGKILL)
-    process.communicate()
-    with (out / "frame_sets.csv").open() as stream:
-        finished = [row["frame"] for row in csv.DictReader(stream)]
-    recording = open_recording(out)
-    for camera in recording.cameras:
-        for frame in finished:
-            recording.color(camera, frame)
-            recording.depth_m(camera, frame)
-    assert last_session(out)["status"] == "running"
-    ended = rig.run("capture", out, "--append", "--count", 1, *QUICK)
-    assert ended.status == 0, ended.stderr
-    assert len(check_whole(out).frames) >= len(finished) + 1
-
-
-def test_full_disk(rig):
-    library = build(SOURCES / "full_disk.cpp", rig.folder / "full_disk.so")
-    out = rig.folder / "out"
-    rig.environment |= {"LD_PRELOAD": str(library), "FULL_DISK_BYTES": str(4_000_000)}
-    ended = rig.run("capture", out, *QUICK)
-    assert ended.status == 1 and "the disk is full" in ended.stderr and "--append" in ended.stderr
-    del rig.environment["LD_PRELOAD"]
-    recording = check_whole(out)
-    assert len(recording.frames) >= 1
-    assert rig.run("capture", out, "--append", "--count", 1, *QUICK).status == 0
 
 
 def test_depth_is_a_median_and_emitters_take_turns(rig):
