@@ -24,7 +24,7 @@ from rgbd_calib.trust.snapshot import Before, camera_motion
 from rgbd_calib.trust.snapshot.camera import CameraMotion
 from rgbd_calib.trust.snapshot.determined import displacement_m, free_directions, working_points
 from rgbd_calib.trust.snapshot.motion import Motion, RowNoise, undrifted
-from rgbd_calib.trust.snapshot.pixels import Matches, grey, match_features, noise_px2, similarity, track
+from rgbd_calib.trust.snapshot.pixels import Features, Matches, grey, match_features, noise_px2, similarity, track
 from rgbd_calib.trust.snapshot.rig import SCENE, SnapshotParams, judge_motions
 from rgbd_calib.trust.snapshot.surfaces import Surface
 from rgbd_calib.types import Rig, RigCamera
@@ -131,7 +131,7 @@ def test_a_black_image_is_no_traceback_and_tells_nothing_by_pixels(bumped):
 def test_light_and_gain_do_not_matter_to_features(bumped):
     old = read_snapshot(open_recording(bumped / "old"), "C1")
     dim = (0.5 * old.color).astype(np.uint8)
-    matches = match_features(grey(old.color), grey(dim))
+    matches = match_features(Features.of(grey(old.color)), Features.of(grey(dim)))
     apart = np.linalg.norm(matches.old_px - matches.new_px, axis=1)
     assert len(matches) > 100 and np.mean(apart < 0.5) > 0.95
 

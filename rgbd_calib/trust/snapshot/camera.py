@@ -7,6 +7,7 @@ features -> consensus by pixels -> candidates, the camera at rest among them -> 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.trust.snapshot import pixels
 from rgbd_calib.trust.snapshot.motion import Motion, Tracks, fit_motion, undrifted
-from rgbd_calib.trust.snapshot.pixels import Matches
+from rgbd_calib.trust.snapshot.pixels import Features, Matches
 from rgbd_calib.trust.snapshot.surfaces import Surface
 from rgbd_calib.types import CameraSnapshot, RigCamera
 
@@ -35,6 +36,18 @@ class Before:
         self.camera = camera
         self.surface = Surface(camera, snapshot.depth_m)
         self.grey = pixels.grey(snapshot.color)
+        self.features = Features.of(self.grey)
+
+    @cached_property
+    def lookup(self) -> ColorLookup:
+        return ColorLookup(self.surface, self.camera.intrinsics)
+
+    @cached_property
+    def corners(self) -> tuple[FloatArray, FloatArray]:
+        """Pixels (n, 2) worth tracking, and the points (n, 3) there, metres, in the colour camera's frame."""
+        px = pixels.corners(self.grey)
+        found, points_m = self.lookup.points(px)
+        return px[found], points_m
 
 
 @dataclass(frozen=True)
@@ -55,20 +68,16 @@ def camera_motion(name: str, before: Before, snapshot: CameraSnapshot) -> Camera
     """The motion of a camera from its old to its new snapshot."""
     after = Before(before.camera, snapshot)
     lens = before.camera.intrinsics
-    matches = pixels.match_features(before.grey, after.grey)
-    at = ColorLookup(before.surface, lens)
-    found, points = at.points(matches.old_px)
+    matches = pixels.match_features(before.features, after.features)
+    found, points = before.lookup.points(matches.old_px)
     matches = matches.only(found)
     starts = [np.eye(4), *_consensus(points, matches, lens)]
     scored = [_Support.of(T, before.surface, after.surface, points, matches, lens) for T in starts]
     best = max(scored, key=lambda s: s.both)
-    corner_px = pixels.corners(before.grey)
-    found, corner_m = at.points(corner_px)
-    corner_px = corner_px[found]
-    motion = _refined(before, after, corner_px, corner_m, best.T_old_new)
-    motion = _refined(before, after, corner_px, corner_m, motion.T_old_new)
+    motion = _refined(before, after, best.T_old_new)
+    motion = _refined(before, after, motion.T_old_new)
     mine = _Support.of(motion.T_old_new, before.surface, after.surface, points, matches, lens, motion.drift)
-    rivals = [s.against(mine) for s in scored if _apart(s.T_old_new, motion.T_old_new, corner_m, lens)]
+    rivals = [s.against(mine) for s in scored if _apart(s.T_old_new, motion.T_old_new, before.corners[1], lens)]
     return CameraMotion(
         name, motion, mine.patches, max(rivals, default=0.0), int(motion.patches.rows + motion.tracks.rows)
     )
@@ -162,8 +171,7 @@ class _Support:
         lens: Intrinsics,
         drift: FloatArray | None = None,
     ) -> _Support:
-        planes = old.patches(old.grid())
-        planes = planes.only(planes.good)
+        _, planes = old.planes
         at, inside = new.pixels_of(se3.transform(se3.inverse(T), planes.points_m))
         planes, at = planes.only(inside), at[inside]
         there = new.patches(at)
@@ -178,8 +186,8 @@ class _Support:
         return cls(T, float(agrees.sum() / max(measured.sum(), 1)), float(close.mean()) if len(close) else 0.0)
 
 
-def _refined(before: Before, after: Before, corner_px: FloatArray, corner_m: FloatArray, start: FloatArray) -> Motion:
-    lens = before.camera.intrinsics
+def _refined(before: Before, after: Before, start: FloatArray) -> Motion:
+    lens, (corner_px, corner_m) = before.camera.intrinsics, before.corners
     with np.errstate(all="ignore"):
         expected = lens.project(se3.transform(se3.inverse(start), corner_m))
     inside = np.all((expected > 5) & (expected < lens.size_px - 6), axis=1)

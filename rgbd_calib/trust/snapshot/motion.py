@@ -115,9 +115,7 @@ class _Rows:
 
 def fit_motion(tracks: Tracks, lens: Intrinsics, old: Surface, new: Surface, start: FloatArray) -> Motion:
     """The motion from `start` (4, 4), T_old_new."""
-    pixels = old.grid()
-    planes = old.patches(pixels)
-    pixels, planes = pixels[planes.good], planes.only(planes.good)
+    pixels, planes = old.planes
     T, nuisance = start, np.zeros(6)
     flow_px = np.linalg.norm(tracks.pixels.new_px - tracks.pixels.old_px, axis=1)
     moves = min(float(np.median(flow_px)) / _MOVES_PX, 1.0) if len(flow_px) else 1.0

@@ -68,17 +68,34 @@ def grey(color: np.ndarray) -> np.ndarray:
     return np.clip(128 + 45 * normal, 0, 255).astype(np.uint8)
 
 
-def match_features(old: np.ndarray, new: np.ndarray) -> Matches:
-    """SIFT features of two images (h, w), uint8, that are each other's best match."""
-    sift = cv2.SIFT.create(nfeatures=_MOST_FEATURES, contrastThreshold=_CONTRAST)
-    (keys_old, about_old), (keys_new, about_new) = (sift.detectAndCompute(image, None) for image in (old, new))
-    if about_old is None or about_new is None or len(keys_old) < 2 or len(keys_new) < 2:
+@dataclass(frozen=True)
+class Features:
+    """SIFT features of one image."""
+
+    at_px: FloatArray
+    """(n, 2)."""
+    descriptors: np.ndarray
+    """(n, 128), of length 1: the squared distance of two is 2 - 2 cos."""
+
+    @classmethod
+    def of(cls, image: np.ndarray) -> Features:
+        """Those of an image (h, w), uint8."""
+        keys, about = cv2.SIFT.create(nfeatures=_MOST_FEATURES, contrastThreshold=_CONTRAST).detectAndCompute(
+            image, None
+        )
+        if about is None:
+            return cls(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
+        length = np.linalg.norm(about, axis=1, keepdims=True)
+        return cls(np.array([key.pt for key in keys], float), about / np.maximum(length, 1e-9))
+
+
+def match_features(old: Features, new: Features) -> Matches:
+    """Features of two images that are each other's best match."""
+    if min(len(old.at_px), len(new.at_px)) < 2:
         return Matches(np.zeros((0, 2)), np.zeros((0, 2)))
-    # descriptors have one length: the squared distance is 2 - 2 cos
-    a, b = (d / np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-9) for d in (about_old, about_new))
-    cos = a @ b.T
+    cos = old.descriptors @ new.descriptors.T
     best = np.argmax(cos, axis=1)
-    rows = np.arange(len(a))
+    rows = np.arange(len(cos))
     first = cos[rows, best]
     cos[rows, best] = -1.0
     second = cos.max(axis=1)
@@ -86,8 +103,7 @@ def match_features(old: np.ndarray, new: np.ndarray) -> Matches:
     clear = (1 - first) < _RATIO**2 * (1 - second)
     mutual = np.argmax(cos, axis=0)[best] == rows
     kept = np.flatnonzero(clear & mutual)
-    at_old, at_new = (np.array([k.pt for k in keys], float) for keys in (keys_old, keys_new))
-    pairs = np.concatenate([at_old[kept], at_new[best[kept]]], axis=1)
+    pairs = np.concatenate([old.at_px[kept], new.at_px[best[kept]]], axis=1)
     # a place with two directions is two features, and would count twice
     pairs = np.unique(np.round(pairs, 2), axis=0)
     return Matches(pairs[:, :2], pairs[:, 2:])

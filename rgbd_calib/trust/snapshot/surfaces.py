@@ -92,6 +92,13 @@ class Surface:
         u, v = np.meshgrid(np.arange(STEP_PX // 2, w, STEP_PX), np.arange(STEP_PX // 2, h, STEP_PX))
         return np.stack([u.ravel(), v.ravel()], axis=1)
 
+    @cached_property
+    def planes(self) -> tuple[np.ndarray, Patches]:
+        """The good ones of the patches that fill the image, and their pixels (n, 2), int."""
+        pixels = self.grid()
+        patches = self.patches(pixels)
+        return pixels[patches.good], patches.only(patches.good)
+
     def patches(self, pixels: np.ndarray) -> Patches:
         """The planes at pixels (n, 2), int, inside the image."""
         planes, rms = self._fit(pixels)
