@@ -32,6 +32,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.linear import BoolArray
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.trust.snapshot import tukey
 from rgbd_calib.trust.snapshot.cloud_rows import CloudRows, cloud_rows
 from rgbd_calib.trust.snapshot.clouds import GATE_M
 from rgbd_calib.trust.snapshot.motion import ANYWHERE
@@ -41,7 +42,6 @@ from rgbd_calib.types import Rig
 
 _ROUNDS, _STEPS = 4, 5
 _REACH_AT_M = 2.0
-_TUKEY, _MAD = 4.7, 0.6745
 _LEAST_SIGMA, _LEAST_LEFT = 0.1, 0.05
 _TOLD = 0.5
 """A direction of u of which the clouds leave less than this of the variance is one that they tell."""
@@ -200,10 +200,8 @@ def _noise(system: _System) -> _Noise:
 def _weights(r: FloatArray, leverage: FloatArray) -> tuple[float, FloatArray]:
     """Deviation of the noise by residuals (n,) of this leverage, and Tukey's weights (n,)."""
     size = np.abs(r) / np.sqrt(np.maximum(1 - leverage, _LEAST_LEFT))
-    sigma = max(float(np.median(size)) / _MAD, _LEAST_SIGMA)
-    for _ in range(3):  # again without what is far out
-        sigma = max(float(np.median(size[size < _TUKEY * sigma])) / _MAD, _LEAST_SIGMA)
-    return sigma, np.clip(1 - (size / (_TUKEY * sigma)) ** 2, 0, 1) ** 2
+    sigma = tukey.scale(size, 1, _LEAST_SIGMA)
+    return sigma, tukey.weights(size, sigma)[1]
 
 
 def _anchor(rig: Rig, rows: CloudRows) -> str:

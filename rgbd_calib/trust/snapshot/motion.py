@@ -30,6 +30,7 @@ from rgbd_calib.geometry import camera, se3
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.linear import BoolArray, symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.trust.snapshot import tukey
 from rgbd_calib.trust.snapshot.pixels import Matches
 from rgbd_calib.trust.snapshot.surfaces import Patches, Surface
 
@@ -43,9 +44,6 @@ _MOVES_PX = 0.5
 ANYWHERE = np.array([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])
 """Deviations (rad, m) of directions that nothing determines: in the covariance only, they pull nowhere."""
 _DRIFT_AT_M = 3.0
-_TUKEY = 4.7
-_MAD = 1.4826
-"""Of normal values, the deviation over the median of absolute values."""
 _CELLS = (5, 4)
 _LEAST_SLOPE = 0.2
 """Of the weighted residuals, of their weights: 0.83 for normal errors."""
@@ -185,15 +183,15 @@ def _whitening(left_px: FloatArray, noise_px2: FloatArray, near: BoolArray) -> F
     """(n, 2, 2), inverse roots of the tracks' covariance, the floors with which residuals (n, 2) are as large as expected."""
     used, whitening = near, np.tile(np.eye(2), (len(left_px), 1, 1))
     for _ in range(3):  # again without what is far out
-        if np.count_nonzero(used) < 6:
+        if np.count_nonzero(used) < tukey.FEWEST:
             break
         # with which half of the squares, over their variances, lie below the median of a normal variable's square
-        beyond = (_MAD * left_px[used]) ** 2 - np.einsum("nii->ni", noise_px2[used])
+        beyond = (left_px[used] / tukey.MEDIAN_OF_SIZE[1]) ** 2 - np.einsum("nii->ni", noise_px2[used])
         floors = np.clip(np.median(beyond, axis=0), *np.square(_FLOORS_PX))
         variance, V = np.linalg.eigh(noise_px2 + np.diag(floors))
         whitening = V / np.sqrt(variance)[:, None] @ V.transpose(0, 2, 1)
         r = np.einsum("nij,nj->ni", whitening, left_px)
-        used = near & (np.sqrt(np.mean(r**2, axis=1)) < _TUKEY)
+        used = near & (np.sqrt(np.mean(r**2, axis=1)) < tukey.LIMIT)
     return np.asarray(whitening)
 
 
@@ -244,17 +242,10 @@ def _weigh(rows: _Rows, before: RowNoise, near: BoolArray | None = None) -> tupl
     n, r = rows.r.shape
     size = np.sqrt(np.mean(rows.r**2, axis=1))
     near = np.ones(n, bool) if near is None else near
-    if np.count_nonzero(near) < 6:
+    if np.count_nonzero(near) < tukey.FEWEST:
         return replace(before, rows=0.0), np.zeros(n)
-    # of r normal coordinates the RMS has this median, in deviations
-    sigma = max(float(np.median(size[near])) / (0.6745 if r == 1 else 0.8326), _LEAST)
-    for _ in range(3):  # again without what is far out
-        kept = size < _TUKEY * sigma
-        if np.count_nonzero(kept) < 6:
-            break
-        sigma = max(float(np.median(size[kept])) / (0.6745 if r == 1 else 0.8326), _LEAST)
-    u = np.minimum((size / (_TUKEY * sigma)) ** 2, 1.0)
-    w = (1 - u) ** 2
+    sigma = tukey.scale(size, r, _LEAST, near)
+    u, w = tukey.weights(size, sigma)
     return RowNoise(float(w.sum()), sigma, _inflation(rows, u, sigma)), w
 
 
