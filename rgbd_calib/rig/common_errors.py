@@ -7,13 +7,15 @@ the image (u and v apart) and of the depth, and one variance is estimated for pi
 observations' own: r_i = e_i + tau c_k for every weighted residual i of cell k, with e_i and c_k of variance 1.
 
 With W the weight matrix of :mod:`.weights`, a_k the indicator of cell k, s_k = J' W a_k, A = J' W J + prior and
-n_kj = a_k' W a_j, the residuals of the fit have r = (1 - H)(e + tau sum_k c_k a_k), H = J A^-1 J' W, so that
-T = sum_k (a_k' W r)^2 / n_kk has the expectation
+n_kj = a_k' W a_j, the residuals of the fit have r = (1 - H)(e + tau sum_k c_k a_k), H = J A^-1 J' W. Corners beside each other
+in one view have more in common: their cells of depth pixels adjoin, their board was not quite where it is put. So only products
+of different views count: S_k = a_k' W r is the sum of S_kv of views v, of n_kv corners, and
 
-    E T = sum_k (n_kk + a_k' Q e Q' a_k - s_k' A^-1 s_k) / n_kk  +  tau^2 sum_kj (n_kj - s_k' A^-1 s_j)^2 / n_kk
+    E sum_(v != w) S_kv S_kw = f_k (-s_k' A^-1 s_k + tau^2 sum_j (n_kj - s_k' A^-1 s_j)^2),    f_k = 1 - sum_v n_kv^2 / n_k^2,
 
-(e the excess of the pose parts of pixels), which is solved for tau^2: the method of moments for a variance
-component (C. R. Henderson, Biometrics 9(2), 1953). The estimate's covariance grows by tau^2 sum_k A^-1 s_k s_k' A^-1.
+of which the sum over the cells, each divided by n_kk, is solved for tau^2: the method of moments for a variance component
+(C. R. Henderson, Biometrics 9(2), 1953). The second of s_k' A^-1 s_k, the units eliminated, is that of the globals alone, and
+f_k takes the corners of a cell for equal. The estimate's covariance grows by tau^2 sum_k A^-1 s_k s_k' A^-1.
 """
 
 from __future__ import annotations
@@ -63,8 +65,10 @@ class _Sums:
     """(C, cells, cells), a' W a of the cells of each camera."""
     total: FloatArray
     """(K,), a' W r, of the residuals."""
-    in_pose: FloatArray
-    """(K,), variance that the pose parts of pixels add to `total`."""
+    by_itself: FloatArray
+    """(K,), sum of the squares of each view's share of `total`."""
+    apart: FloatArray
+    """(K,), f_k: share of the pairs of residuals that are of two views."""
     by_global: FloatArray
     """(K, P), a' W J."""
     by_unit: FloatArray
@@ -86,9 +90,11 @@ def common_errors(problem: Problem, state: State, cov: Covariance) -> CommonErro
         gram = block_diag(
             *(own[np.ix_(*(kept[kept // N_CELLS == c] % N_CELLS,) * 2)] for c, own in enumerate(sums.gram))
         )
-        left, own = gram - moved[kept] @ reduced[kept].T - product(solved, by_unit), np.diag(gram)
-        growth = np.sum(left**2 / own[:, None])
-        beyond = float(np.sum((sums.total[kept] ** 2 - sums.in_pose[kept] - np.diag(left)) / own))
+        absorbed = moved[kept] @ reduced[kept].T
+        left, share = gram - absorbed - product(solved, by_unit), sums.apart[kept] / np.diag(gram)
+        growth = float(share @ np.sum(left**2, axis=1))
+        of_pairs = (sums.total[kept] ** 2 - sums.by_itself[kept]) / np.diag(gram)
+        beyond = float(np.sum(of_pairs + share * np.diag(absorbed)))
         tau2 = max(0.0, beyond / growth) if growth > 0 else 0.0
         covariance += tau2 * moved[kept].T @ moved[kept]
         tau.append(float(np.sqrt(tau2)))
@@ -119,7 +125,7 @@ def _sums(problem: Problem, state: State, some: IntArray | None) -> _Sums:
     cells = _cells(problem.obs, sizes_px)
     K, F, P, D = len(sizes_px) * N_CELLS, problem.pattern.n_units, problem.n_globals, problem.unit_size
     n, gram, total = np.zeros(K), np.zeros((K // N_CELLS, N_CELLS, N_CELLS)), np.zeros(K)
-    in_pose = np.zeros(K)
+    by_itself, pairs = np.zeros(K), np.zeros(K)
     by_global, by_unit = np.zeros((K, P)), np.zeros((F, K, D))
     for views, look, rows in problem.rows(state, some):
         of_pixels = look.kind is Kind.PIXEL
@@ -133,28 +139,31 @@ def _sums(problem: Problem, state: State, some: IntArray | None) -> _Sums:
             here = np.bincount(k, minlength=K)
             n += here
             gram[look.camera] += np.diag(here.reshape(-1, N_CELLS)[look.camera])
-            total += np.bincount(k, rows.r[view, corner, axis], minlength=K)
             np.add.at(by_global, (k[:, None], rows.columns), rows.J[view, corner, axis])
             if rows.J_point.shape[-1]:
                 np.add.at(by_global, (k[:, None], rows.point_columns[view, corner]), rows.J_point[view, corner, axis])
             np.add.at(by_unit, (rows.units[view], k), rows.J_unit[view, corner, axis])
-            own_Q = Q[views[view], corner * cell.shape[-1] + axis]
+            own_Q, own_r = Q[views[view], corner * cell.shape[-1] + axis], rows.r[view, corner, axis]
             (view, k), which = np.unique(np.stack([view, k]), axis=1, return_inverse=True)
-            in_parts = np.zeros((len(k), len(ratio)))  # a' Q of each view and cell
-            np.add.at(in_parts, which.ravel(), own_Q)
+            of_view = np.bincount(which.ravel(), own_r)
+            pairs += np.bincount(k, np.bincount(which.ravel()) ** 2, minlength=K)
+            if parts is not None:
+                in_parts = np.zeros((len(k), len(ratio)))  # a' Q of each view and cell
+                np.add.at(in_parts, which.ravel(), own_Q)
+                off = in_parts * (1 - ratio**-2)  # what W takes off
+                of_view -= np.sum(off * parts.r[view, 0], axis=1)
+            total += np.bincount(k, of_view, minlength=K)
+            by_itself += np.bincount(k, of_view**2, minlength=K)
             if parts is None:
-                in_pose += np.bincount(k, in_parts**2 @ weights.excess_pixel, minlength=K)
                 continue
-            off = in_parts * (1 - ratio**-2)  # what W takes off
             dense = np.zeros((2, len(views), N_CELLS, len(ratio)))
             dense[:, view, k % N_CELLS] = in_parts, off
             gram[look.camera] -= product(*dense)
-            total -= np.bincount(k, np.sum(off * parts.r[view, 0], axis=1), minlength=K)
             at, off = (k[:, None], parts.point_columns[view, 0]), off[:, None]
             np.add.at(by_global, (k[:, None], parts.columns), -(off @ parts.J[view, 0])[:, 0])
             np.add.at(by_global, at, -(off @ parts.J_point[view, 0])[:, 0])
             np.add.at(by_unit, (rows.units[view], k), -(off @ parts.J_unit[view, 0])[:, 0])
-    return _Sums(n, gram, total, in_pose, by_global, by_unit)
+    return _Sums(n, gram, total, by_itself, 1 - pairs / np.maximum(n, 1) ** 2, by_global, by_unit)
 
 
 def _reduced(sums: _Sums, eq: NormalEquations) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -160,28 +161,34 @@ def test_the_minimum_is_that_of_scipy() -> None:
 
 
 def test_the_covariance_of_the_poses_is_honest() -> None:
-    seeds, values = 24, []
+    seeds, values = 16, []
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         rig = sv.arc(3, biased=True)
-        result = solved(rig, draw(rig, sv.BOARD, 14, rng), sv.BOARD, rng)
+        result = solved(rig, draw(rig, sv.BOARD, 10, rng), sv.BOARD, rng)
         error, at = [], []
         for i, name in enumerate(result.cameras[1:], start=1):
             error.append(se3.difference(rig.cameras[name].T_world_color, result.state.T_world_color[i]))
             at.append(result.index("pose", name))
         e, index = np.concatenate(error), np.concatenate(at)
         values.append(e @ np.linalg.solve(result.covariance[np.ix_(index, index)], e) / len(e))
-    # chi^2 with 12 degrees of freedom over 24 seeds: standard error sqrt(2 / 12 / 24) = 0.083, 4 of them, and 0.1 for
+    # chi^2 with 12 degrees of freedom over 16 seeds: standard error sqrt(2 / 12 / 16) = 0.10, 4 of them, and 0.1 for
     # the weights, which are estimated from a few hundred residuals
-    assert abs(np.mean(values) - 1) < 0.43
+    assert abs(np.mean(values) - 1) < 0.51
+
+
+@cache
+def clean_views() -> tuple[Rig, list[PlacedView], float]:
+    """A rig, its views, and the alignment that these give."""
+    rig = sv.arc(4, 15.0, biased=True)
+    views = draw(rig, sv.BOARD, 20, np.random.default_rng(11))
+    return rig, views, alignment_m(solved(rig, views, sv.BOARD, np.random.default_rng(0)), rig)
 
 
 @pytest.mark.parametrize("kind", ["moved", "late depth", "wrong corners", "hand"])
 def test_a_tenth_of_spoiled_views_does_not_matter(kind: str) -> None:
     rng = np.random.default_rng(11)
-    rig = sv.arc(4, 15.0, biased=True)
-    views = draw(rig, sv.BOARD, 20, rng)
-    clean = alignment_m(solved(rig, views, sv.BOARD, np.random.default_rng(0)), rig)
+    rig, views, clean = clean_views()
     bad = set(rng.choice(len(views), len(views) // 10, replace=False).tolist())
     spoiled = [spoil(placed, kind, rig, rng) if i in bad else placed for i, placed in enumerate(views)]
     result = solved(rig, spoiled, sv.BOARD, np.random.default_rng(0))
