@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -51,9 +52,8 @@ def prepare(rig: Rig, old: Recording) -> dict[str, Before]:
         snapshot = read_snapshot(old, name)
         return name, None if snapshot is None else Before(rig.cameras[name], snapshot)
 
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
-        found = pool.map(one, common_cameras(old, rig))
-        return {name: before for name, before in found if before is not None}
+    found = _threads().map(one, common_cameras(old, rig))
+    return {name: before for name, before in found if before is not None}
 
 
 def compare(rig: Rig, new: Recording, before: Mapping[str, Before]) -> dict[str, CameraMotion]:
@@ -78,8 +78,13 @@ def compare_with(
         snapshot = read(name)
         return None if snapshot is None else camera_motion(name, before[name], snapshot)
 
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
-        return {m.camera: m for m in pool.map(one, cameras) if m is not None}
+    return {m.camera: m for m in _threads().map(one, cameras) if m is not None}
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    """The same in every round of a monitor: OpenCV keeps a kilobyte of each thread that has ended."""
+    return ThreadPoolExecutor(_AT_ONCE)
 
 
 def summary(verdict: RigVerdict) -> dict[str, Any]:
