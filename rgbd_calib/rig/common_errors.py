@@ -151,7 +151,7 @@ def _sums(problem: Problem, state: State, some: IntArray | None) -> _Sums:
                 in_parts = np.zeros((len(k), len(ratio)))  # a' Q of each view and cell
                 np.add.at(in_parts, which.ravel(), own_Q)
                 off = in_parts * (1 - ratio**-2)  # what W takes off
-                of_view -= np.sum(off * parts.r[view, 0], axis=1)
+                of_view = of_view - np.sum(off * parts.r[view, 0], axis=1)  # not in place: counts of nothing are int
             total += np.bincount(k, of_view, minlength=K)
             by_itself += np.bincount(k, of_view**2, minlength=K)
             if parts is None:
