@@ -79,13 +79,11 @@ def command(
       rgbd-calib verify rig.yaml monday --snapshot friday
       rgbd-calib verify rig.yaml monday || rgbd-calib calibrate monday --update rig.yaml --only C3 -o rig2.yaml
     """
-    from rgbd_calib import api
     from rgbd_calib.io.plain import to_json
     from rgbd_calib.io.recording import open_recording
     from rgbd_calib.io.rig import read_rig
     from rgbd_calib.io.snapshot import kept_beside
     from rgbd_calib.pipeline import snapshot as snapshots
-    from rgbd_calib.pipeline import verify as boards
     from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.depth_cameras import split
     from rgbd_calib.pipeline.rig_inputs import left_out
@@ -105,6 +103,9 @@ def command(
                 show(line)
             show(snapshots.sentence(verdict))
     if snapshot is None or opened.board is not None:
+        from rgbd_calib import api  # half a second, which a snapshot does without
+        from rgbd_calib.pipeline import verify as boards
+
         found = api.verify(
             rig, opened, max_mm=max_mm, corners=corners, config=settings, workers=workers, progress=progress
         )
