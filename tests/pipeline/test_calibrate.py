@@ -295,7 +295,7 @@ def test_realsense3(run, real_data, realsense_corners, tmp_path):
     check_realsense(rig)
 
 
-@pytest.mark.parametrize("share", [0.1, 0.4])
+@pytest.mark.parametrize("share", [0.1, 0.25, 0.4])
 def test_realsense3_with_views_read_from_the_other_end(run, real_data, realsense_corners, tmp_path, share):
     board = open_recording(real_data("realsense3")).board
     views, turned = turn_some(read_corners(realsense_corners), board, share, np.random.default_rng(0))

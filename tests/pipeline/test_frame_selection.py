@@ -63,7 +63,7 @@ def test_the_frames_tell_more_than_any_of_many_random_choices(whole):
     assert chosen(whole, FEW).chosen == choice.chosen
     units = np.sqrt(np.diag(choice.covariance_of_all))
     rng, best = np.random.default_rng(0), log_det(choice, units)
-    for _ in range(8):
+    for _ in range(20):
         names = set(rng.choice(sorted({*choice.chosen, *choice.left_out}), FEW, replace=False))
         some = chosen(whole, FEW, [p for p in whole[0].association.views if p.view.frame in names])
         assert set(some.chosen) == names and log_det(some, units) > best

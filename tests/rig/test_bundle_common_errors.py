@@ -53,7 +53,7 @@ def test_what_corners_of_one_view_share_is_not_the_sensors() -> None:
 
 @pytest.mark.parametrize("ripple", [False, True])
 def test_what_depths_share_is_found_and_counted(ripple: bool) -> None:
-    seeds, counted, tau, offset, k = 4, [], [], [], []
+    seeds, counted, tau, offset, k = 6, [], [], [], []
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         rig, board = sv.ring(2, biased=True), sv.TWO_SIDED
