@@ -26,6 +26,8 @@ from rgbd_calib.io.recording import Recording, open_recording
 
 SOURCES = Path(__file__).parent / "virtual_xtion"
 HEADERS = Path("/usr/include/openni2")
+QUICK = ("--settle", "0.3", "--interval", "0.1")
+"""Options of `capture`: pictures as soon as there are some."""
 TIMEOUT_S = 90.0
 """A capture of the tests takes some 5 s; many times that is a hang even on a busy machine."""
 
@@ -145,6 +147,13 @@ class VirtualRig:
         self.processes.append(process)
         return process
 
+    def capturing(self, *options: object, sets: int = 2) -> tuple[Path, subprocess.Popen[str]]:
+        """A `capture` that has written some frame sets, and where to."""
+        out = self.folder / "out"
+        process = self.start("capture", out, *options)
+        self.wait_for_frame_sets(out, sets)
+        return out, process
+
     def wait_for_frame_sets(self, folder: Path, n: int) -> None:
         """Wait until the capture has finished `n` frame sets."""
         table = folder / "frame_sets.csv"
@@ -168,6 +177,12 @@ class VirtualRig:
     def run(self, *args: object, **options: object) -> Ended:
         """Run it to its end."""
         return finish(self.start(*args, **options))  # type: ignore[arg-type]
+
+
+def interrupted(process: subprocess.Popen[str]) -> Ended:
+    """The end after Ctrl-C."""
+    process.send_signal(signal.SIGINT)
+    return finish(process)
 
 
 def finish(process: subprocess.Popen[str], timeout_s: float = TIMEOUT_S) -> Ended:

@@ -13,19 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from virtual_rig import (
-    check_whole,
-    finish,
-    last_session,
-    read_raw,
-    stamps,
-)
+from virtual_rig import QUICK, check_whole, finish, last_session, read_raw, stamps
 
 from rgbd_calib.io.files import dump_yaml, load_yaml, write_text
 from rgbd_calib.io.recording import open_recording
 
 BOARD = ("--board", "9x6", "--square", "0.06")
-QUICK = ("--settle", "0.3", "--interval", "0.1")
 
 
 def events(folder: Path) -> str:

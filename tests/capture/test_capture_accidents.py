@@ -9,23 +9,13 @@ import time
 
 import numpy as np
 import pytest
-from virtual_rig import (
-    SOURCES,
-    build,
-    check_whole,
-    finish,
-    last_session,
-)
+from virtual_rig import QUICK, SOURCES, build, check_whole, finish, interrupted, last_session
 
 from rgbd_calib.io.recording import open_recording
 
-QUICK = ("--settle", "0.3", "--interval", "0.1")
-
 
 def test_unplugged_and_plugged_in_again(rig):
-    out = rig.folder / "out"
-    process = rig.start("capture", out, *QUICK)
-    rig.wait_for_frame_sets(out, 2)
+    out, process = rig.capturing(*QUICK)
     rig.command("unplug 1")
     rig.wait_for_text(out / "capture.yaml", "unplugged; the other")
     rig.command("plug 1")
@@ -34,8 +24,7 @@ def test_unplugged_and_plugged_in_again(rig):
     deadline = time.monotonic() + 60
     while len(list((out / "C2" / "color").glob("0*.png"))) < n + 2 and time.monotonic() < deadline:
         time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
-    ended = finish(process)
+    ended = interrupted(process)
     assert ended.status == 0, ended.stderr
     recording = check_whole(out)
     assert n + 2 <= len(recording.color_files["C2"]) < len(recording.color_files["C1"])
@@ -57,23 +46,18 @@ for _ in range(6):
 
 
 def test_colour_stalls_and_comes_back(rig):
-    out = rig.folder / "out"
-    process = rig.start("capture", out, *QUICK)
-    rig.wait_for_frame_sets(out, 2)
+    out, process = rig.capturing(*QUICK)
     rig.command("stall 0 color")
     rig.wait_for_text(out / "capture.yaml", "color stalled")
     rig.command("resume 0 color")
     rig.wait_for_text(out / "capture.yaml", "color delivers again")
-    process.send_signal(signal.SIGINT)
-    ended = finish(process)
+    ended = interrupted(process)
     assert ended.status == 0 and "C1: color stalled" in ended.stderr
     check_whole(out)
 
 
 def test_all_cameras_gone(rig):
-    out = rig.folder / "out"
-    process = rig.start("capture", out, "--give-up", 2, *QUICK)
-    rig.wait_for_frame_sets(out, 1)
+    out, process = rig.capturing("--give-up", 2, *QUICK, sets=1)
     rig.command("unplug 0")
     rig.command("unplug 1")
     ended = finish(process)
@@ -82,12 +66,9 @@ def test_all_cameras_gone(rig):
     check_whole(out)
 
 
-def test_ctrl_c_then_append(rig, played):
-    out = rig.folder / "out"
-    process = rig.start("capture", out, *QUICK)
-    rig.wait_for_frame_sets(out, 2)
-    process.send_signal(signal.SIGINT)
-    ended = finish(process)
+def test_ctrl_c_then_append(rig):
+    out, process = rig.capturing(*QUICK)
+    ended = interrupted(process)
     assert ended.status == 0 and "ended by Ctrl-C" in ended.stderr
     assert last_session(out)["status"] == "interrupted"
     n = len(check_whole(out).frames)
@@ -101,9 +82,7 @@ def test_ctrl_c_then_append(rig, played):
 
 @pytest.mark.parametrize("seed", range(2))
 def test_a_kill_leaves_whole_frame_sets(rig, seed):
-    out = rig.folder / "out"
-    process = rig.start("capture", out, "--settle", 0.3, "--interval", 0)
-    rig.wait_for_frame_sets(out, 2)
+    out, process = rig.capturing("--settle", 0.3, "--interval", 0)
     time.sleep(np.random.default_rng(seed).uniform(0, 0.2))
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import signal
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -14,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from small_recording import draw_recording
-from virtual_rig import VirtualRig, finish, last_session
+from virtual_rig import VirtualRig, interrupted, last_session
 
 from rgbd_calib.capture.expected_error import ErrorCourse, ExpectedError
 from rgbd_calib.views.coverage import Coverage
@@ -168,8 +167,7 @@ def test_a_wrong_square_is_named_while_filming_and_nothing_outlives_ctrl_c(drawn
     process = rig.start("capture", out, "--driver", f"replay:{drawn}", *options)
     try:
         rig.wait_for_text(out / "capture.yaml", "C1, C2: measured depth")
-        process.send_signal(signal.SIGINT)
-        ended = finish(process)
+        ended = interrupted(process)
     finally:
         rig.close()
     assert ended.status == 0 and not _running(out)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-import signal
 import urllib.request
 from pathlib import Path
 
 import numpy as np
 import pytest
 from small_recording import draw_recording
-from virtual_rig import VirtualRig, build_redist, check_whole, feed, finish
+from virtual_rig import VirtualRig, build_redist, check_whole, feed, interrupted
 
 from rgbd_calib.capture.board_watch import DetectedFrameSet, board_views
 from rgbd_calib.capture.guide import Guide
@@ -102,8 +101,7 @@ def test_the_page_shows_pictures_corners_coverage_and_what_is_missing(rig, brows
     rig.command("unplug 2")
     wait.until(lambda b: "dead" in b.find_element("id", "camera-C3").get_attribute("class"))
     wait.until(lambda b: "C3: unplugged" in b.find_element("id", "events").text)
-    process.send_signal(signal.SIGINT)
-    ended = finish(process)
+    ended = interrupted(process)
     assert ended.status == 0
     wait.until(lambda b: "the recording has ended" in b.find_element("id", "advice").text)
     complaints = [

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tiny_recording import DEPTH, HEIGHT, WIDTH, edit, tiny_recording
+from tiny_recording import DEPTH, HEIGHT, WIDTH, edit
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry.camera import Intrinsics
@@ -15,11 +15,6 @@ from rgbd_calib.io.dataset import DepthGeometry, read_dataset, write_dataset
 from rgbd_calib.io.recording import open_recording, save_depth
 
 LENS = {"width": 4, "height": 3, "fx": 5.0, "fy": 5.0, "cx": 1.5, "cy": 1.0, "distortion": [0.0] * 5}
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return tiny_recording(tmp_path / "recording")
 
 
 @pytest.fixture

@@ -7,15 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tiny_recording import DEPTH, HEIGHT, WIDTH, edit, tiny_recording
+from tiny_recording import DEPTH, HEIGHT, WIDTH, edit
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.recording import open_recording, save_depth
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return tiny_recording(tmp_path / "recording")
 
 
 def expected_m(unit_m: float = 0.001) -> np.ndarray:

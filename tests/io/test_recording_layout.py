@@ -9,17 +9,12 @@ import cv2
 import numpy as np
 import pytest
 from small_recording import draw_recording
-from tiny_recording import DEPTH, HEIGHT, WIDTH, edit, tiny_recording
+from tiny_recording import DEPTH, HEIGHT, WIDTH, edit
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.dataset import CameraInfo, write_dataset
 from rgbd_calib.io.layout import FilePatterns
 from rgbd_calib.io.recording import open_recording, save_color
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return tiny_recording(tmp_path / "recording")
 
 
 def move(source: str, target: str):
