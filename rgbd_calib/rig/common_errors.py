@@ -91,10 +91,10 @@ def common_errors(problem: Problem, state: State, cov: Covariance) -> CommonErro
             *(own[np.ix_(*(kept[kept // N_CELLS == c] % N_CELLS,) * 2)] for c, own in enumerate(sums.gram))
         )
         absorbed = moved[kept] @ reduced[kept].T
-        left, share = gram - absorbed - product(solved, by_unit), sums.apart[kept] / np.diag(gram)
-        growth = float(share @ np.sum(left**2, axis=1))
-        of_pairs = (sums.total[kept] ** 2 - sums.by_itself[kept]) / np.diag(gram)
-        beyond = float(np.sum(of_pairs + share * np.diag(absorbed)))
+        left, own, apart = gram - absorbed - product(solved, by_unit), np.diag(gram), sums.apart[kept]
+        growth = float(np.sum(apart * np.sum(left**2, axis=1) / own))
+        of_pairs = sums.total[kept] ** 2 - sums.by_itself[kept]
+        beyond = float(np.sum((of_pairs + apart * np.diag(absorbed)) / own))
         tau2 = max(0.0, beyond / growth) if growth > 0 else 0.0
         covariance += tau2 * moved[kept].T @ moved[kept]
         tau.append(float(np.sqrt(tau2)))
@@ -145,24 +145,23 @@ def _sums(problem: Problem, state: State, some: IntArray | None) -> _Sums:
             np.add.at(by_unit, (rows.units[view], k), rows.J_unit[view, corner, axis])
             own_Q, own_r = Q[views[view], corner * cell.shape[-1] + axis], rows.r[view, corner, axis]
             (view, k), which = np.unique(np.stack([view, k]), axis=1, return_inverse=True)
-            of_view = np.bincount(which.ravel(), own_r)
-            pairs += np.bincount(k, np.bincount(which.ravel()) ** 2, minlength=K)
+            which = which.ravel()
+            of_view = np.bincount(which, own_r)
+            pairs += np.bincount(k, np.bincount(which) ** 2, minlength=K)
             if parts is not None:
                 in_parts = np.zeros((len(k), len(ratio)))  # a' Q of each view and cell
-                np.add.at(in_parts, which.ravel(), own_Q)
+                np.add.at(in_parts, which, own_Q)
                 off = in_parts * (1 - ratio**-2)  # what W takes off
                 of_view = of_view - np.sum(off * parts.r[view, 0], axis=1)  # not in place: counts of nothing are int
+                dense = np.zeros((2, len(views), N_CELLS, len(ratio)))
+                dense[:, view, k % N_CELLS] = in_parts, off
+                gram[look.camera] -= product(*dense)
+                at, off = (k[:, None], parts.point_columns[view, 0]), off[:, None]
+                np.add.at(by_global, (k[:, None], parts.columns), -(off @ parts.J[view, 0])[:, 0])
+                np.add.at(by_global, at, -(off @ parts.J_point[view, 0])[:, 0])
+                np.add.at(by_unit, (rows.units[view], k), -(off @ parts.J_unit[view, 0])[:, 0])
             total += np.bincount(k, of_view, minlength=K)
             by_itself += np.bincount(k, of_view**2, minlength=K)
-            if parts is None:
-                continue
-            dense = np.zeros((2, len(views), N_CELLS, len(ratio)))
-            dense[:, view, k % N_CELLS] = in_parts, off
-            gram[look.camera] -= product(*dense)
-            at, off = (k[:, None], parts.point_columns[view, 0]), off[:, None]
-            np.add.at(by_global, (k[:, None], parts.columns), -(off @ parts.J[view, 0])[:, 0])
-            np.add.at(by_global, at, -(off @ parts.J_point[view, 0])[:, 0])
-            np.add.at(by_unit, (rows.units[view], k), -(off @ parts.J_unit[view, 0])[:, 0])
     return _Sums(n, gram, total, by_itself, 1 - pairs / np.maximum(n, 1) ** 2, by_global, by_unit)
 
 
