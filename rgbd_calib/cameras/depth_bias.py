@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import polynomial
-from scipy.optimize import brentq
 
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry.so3 import FloatArray
@@ -179,6 +178,8 @@ def _fit(z_m: FloatArray, z_true_m: FloatArray, order: int, exponent: float) -> 
 
 def _tau(z_m: FloatArray, z_true_m: FloatArray, sigma_m: FloatArray, order: int) -> float:
     """Scatter beyond the standard errors, metres: the one at which chi^2 is its degrees of freedom; 0 if it is less."""
+    from scipy.optimize import brentq
+
     freedom = len(z_m) - order - 1
 
     def excess(tau_m: float) -> float:

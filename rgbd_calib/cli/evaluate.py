@@ -103,7 +103,10 @@ def _tell_clouds(summary: CloudAlignment, as_json: bool) -> None:
 def _line(own: AlignmentNumbers) -> str:
     parts = []
     if own.mean_mm is not None:
-        parts.append(f"mean {own.mean_mm:.3f} mm, median {own.median_mm:.3f} mm, 95 % below {own.p95_mm:.3f} mm")
+        stated = f" ({own.expected_mm:.3f} mm as stated)" if own.expected_mm is not None else ""
+        parts.append(
+            f"mean {own.mean_mm:.3f} mm{stated}, median {own.median_mm:.3f} mm, 95 % below {own.p95_mm:.3f} mm"
+        )
     if own.median_px is not None:
         parts.append(f"transfer {own.median_px:.3f} px in the median")
     return "; ".join([*parts, f"{own.points} points"])

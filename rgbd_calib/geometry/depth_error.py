@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import legendre, polynomial
-from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import map_coordinates
 
 from rgbd_calib.geometry.linear import BoolArray
@@ -259,6 +258,8 @@ class GridField:
         return lambda z_m: self._interpolated(pixels_px, z_m)
 
     def _interpolated(self, pixels_px: FloatArray, z_m: FloatArray) -> FloatArray:
+        from scipy.interpolate import RegularGridInterpolator
+
         axes = self.u_px, self.v_px, self.z_m
         at = np.concatenate([pixels_px, np.asarray(z_m, float)[..., None]], axis=-1)
         held = np.clip(at, [a[0] for a in axes], [a[-1] for a in axes])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from rgbd_calib.geometry.camera import Intrinsics, LensName, project_jacobian
 from rgbd_calib.geometry.so3 import FloatArray
@@ -38,6 +37,8 @@ def fit_lens(start: Intrinsics, pixels: FloatArray, directions: FloatArray, n_fr
     keep_K
         Keep the camera matrix.
     """
+    from scipy.optimize import least_squares
+
     free = np.arange(4 if keep_K else 0, 4 + n_free)
 
     def full(x: FloatArray) -> FloatArray:

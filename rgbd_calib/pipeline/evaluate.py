@@ -54,6 +54,8 @@ class PairAlignment:
     """(n,), against a recording: error of the board posed by one camera and projected into the other; else empty."""
     transfer_m: FloatArray = field(default_factory=lambda: np.empty(0))
     """(n,), the same at the board, across the line of sight."""
+    expected_m: FloatArray = field(default_factory=lambda: np.empty(0))
+    """(n,), of `distance_m` by the rig's own covariance; NaN where the rig's cameras do not both see the point. Empty without one."""
 
 
 @dataclass(frozen=True)
@@ -78,17 +80,28 @@ class Evaluation:
 
     def summary(self) -> MeasuredAlignment:
         """Numbers for people and files."""
-        transfer = [np.concatenate([getattr(p, key) for p in self.pairs]) for key in ("transfer_px", "transfer_m")]
-        depth = np.concatenate([pair.depth_m for pair in self.pairs])
+        expected, depth, *transfer = (
+            np.concatenate([getattr(p, key) for p in self.pairs])
+            for key in ("expected_m", "depth_m", "transfer_px", "transfer_m")
+        )
         bins = np.floor(depth / BIN_M)
+        by_distance = {
+            f"{b * BIN_M:.1f}-{(b + 1) * BIN_M:.1f} m": _numbers(
+                self.distance_m[bins == b], expected[bins == b] if len(expected) else expected
+            )
+            for b in np.unique(bins)
+        }
         poses = {
             name: PoseNumbers(float(np.degrees(e.rotation_rad)), 1e3 * e.translation_m, e.relative_translation)
             for name, e in self.poses.items()
         }
         return MeasuredAlignment(
-            _numbers(self.distance_m, *transfer),
-            {" - ".join(p.cameras): _numbers(p.distance_m, p.transfer_px, p.transfer_m) for p in self.pairs},
-            {f"{b * BIN_M:.1f}-{(b + 1) * BIN_M:.1f} m": _numbers(self.distance_m[bins == b]) for b in np.unique(bins)},
+            _numbers(self.distance_m, expected, *transfer),
+            {
+                " - ".join(p.cameras): _numbers(p.distance_m, p.expected_m, p.transfer_px, p.transfer_m)
+                for p in self.pairs
+            },
+            by_distance,
             poses or None,
         )
 
@@ -106,7 +119,7 @@ def against_truth(rig: Rig, truth: Rig, boards: Mapping[str, FloatArray], board:
     ConfigError
         The rig has a camera that the truth has not.
     CalibrationError
-        No point of the volume is seen by two cameras.
+        No point of the volume is seen by two cameras, or the rig's joint covariance is damaged.
     """
     missing = [name for name in rig.cameras if name not in truth.cameras]
     if missing:
@@ -120,17 +133,29 @@ def against_truth(rig: Rig, truth: Rig, boards: Mapping[str, FloatArray], board:
         if name != rig.reference
     }
     points = _volume(truth, boards, board)
-    pairs = []
+    joint, in_rig, pairs = uncertainty.joint_of(rig), se3.transform(se3.inverse(T_truth_world), points), []
+    if joint is not None and joint.parameters.keys() != rig.cameras.keys():
+        joint = None  # depth is of cameras of its own
     for a, b in combinations(rig.cameras, 2):
         in_a, in_b = uncertainty.observe(truth, a, points), uncertainty.observe(truth, b, points)
         seen = in_a.seen & in_b.seen
         if seen.any():
             places = [uncertainty.place(rig, name, o.only(seen)) for name, o in ((a, in_a), (b, in_b))]
             distance = np.linalg.norm(places[0] - places[1], axis=1)
-            pairs.append(PairAlignment((a, b), distance, (in_a.z_m + in_b.z_m)[seen] / 2, np.empty(0)))
+            expected = _NONE if joint is None else _expected(rig, joint, (a, b), in_rig[seen])
+            pairs.append(PairAlignment((a, b), distance, (in_a.z_m + in_b.z_m)[seen] / 2, _NONE, expected_m=expected))
     if not pairs:
         raise CalibrationError("no point of the working volume is seen by two cameras of the rig; nothing to compare")
     return Evaluation(tuple(pairs), poses)
+
+
+def _expected(rig: Rig, joint: uncertainty.JointCovariance, pair: tuple[str, str], points_m: FloatArray) -> FloatArray:
+    """Expected distances (n,) at points (n, 3) in the rig's world; NaN where the two do not both see the point."""
+    out = np.full(len(points_m), np.nan)
+    seen = np.all([uncertainty.observe(rig, name, points_m).seen for name in pair], axis=0)
+    if (found := uncertainty.expected_alignment(rig, joint, points_m[seen], pair)) is not None:
+        out[seen] = found.pairs[pair]
+    return out
 
 
 def against_views(rig: Rig, placed: Sequence[PlacedView], board: Board) -> Evaluation:
@@ -208,13 +233,15 @@ def place_views(
 
 
 def _numbers(
-    distance_m: FloatArray, transfer_px: FloatArray = _NONE, transfer_m: FloatArray = _NONE
+    distance_m: FloatArray, expected_m: FloatArray, transfer_px: FloatArray = _NONE, transfer_m: FloatArray = _NONE
 ) -> AlignmentNumbers:
     out = AlignmentNumbers(len(distance_m))
     if len(distance_m):
         mm = 1e3 * distance_m
         mean, median, p95 = float(mm.mean()), float(np.median(mm)), float(np.percentile(mm, 95))
         out = replace(out, mean_mm=mean, median_mm=median, p95_mm=p95)
+    if np.isfinite(expected_m).any():
+        out = replace(out, expected_mm=1e3 * float(np.nanmean(expected_m)))
     if len(transfer_px):
         out = replace(out, median_px=float(np.median(transfer_px)), mean_px=float(transfer_px.mean()))
     if len(transfer_m):

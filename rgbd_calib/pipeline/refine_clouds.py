@@ -22,7 +22,7 @@ from rgbd_calib.trust.snapshot.cloud_fusion import Fusion, fuse_clouds
 from rgbd_calib.trust.snapshot.clouds import GATE_M
 from rgbd_calib.trust.snapshot.determined import free_directions
 from rgbd_calib.trust.snapshot.motion import DRIFT_SD
-from rgbd_calib.trust.uncertainty import FARTHEST_M, NEAREST_M, JointCovariance
+from rgbd_calib.trust.uncertainty import FARTHEST_M, NEAREST_M, JointCovariance, joint_of
 from rgbd_calib.types import DepthBias, Rig, RigCamera
 
 DISTANCE_M = 2.0
@@ -149,20 +149,17 @@ def _with_depth_errors(camera: RigCamera) -> RigCamera:
 
 
 def _joint(rig: Rig, pose_sd_m: float | None) -> JointCovariance:
-    expected = rig.quality.expected_alignment
-    kept = None if expected is None else expected.joint
-    if kept is None and pose_sd_m is None:
+    joint = joint_of(rig)
+    if joint is None and pose_sd_m is None:
         raise CalibrationError(
             "the rig file states no joint covariance of its cameras, by which to weigh clouds against it. Calibrate it with "
             "this version, or state what the poses are off by: --pose-sd MM"
         )
-    try:
-        joint = JointCovariance.of_parts(rig) if kept is None else JointCovariance.of_kept(kept)
-    except ValueError as error:
-        raise CalibrationError(f"quality.expected_alignment.joint is damaged: {error}. Calibrate again") from None
+    joint = joint or JointCovariance.of_parts(rig)
     if missing := [name for name in joint.parameters if name not in rig.cameras]:
         raise CalibrationError(
-            f"quality.expected_alignment.joint is of other cameras: {', '.join(missing)}. Calibrate again"
+            f"quality.expected_alignment.joint is of {', '.join(missing)} too, which the rig has not as cameras of their own. "
+            "Clouds refine rigs whose depth is registered"
         )
     return joint if pose_sd_m is None else joint.loosened(rig.reference, pose_sd_m, DISTANCE_M)
 

@@ -23,7 +23,7 @@ from rgbd_calib.pipeline.verify import fit_views
 from rgbd_calib.quality import FloorFit
 from rgbd_calib.rig.floor import find_floor, world_on_floor
 from rgbd_calib.trust.displacement import board_poses
-from rgbd_calib.trust.uncertainty import JointCovariance
+from rgbd_calib.trust.uncertainty import joint_of
 from rgbd_calib.types import Rig
 
 BOARD, FLOOR = "board:", "floor"
@@ -102,9 +102,8 @@ def moved_rig(rig: Rig, T_new_world: FloatArray, world: str, floor: FloorFit | N
         for name, own in rig.cameras.items()
     }
     expected = rig.quality.expected_alignment
-    if expected is not None and expected.joint is not None:
-        joint = JointCovariance.of_kept(expected.joint).moved(T_new_world)
-        expected = replace(expected, joint=joint.kept())
+    if expected is not None and (joint := joint_of(rig)) is not None:
+        expected = replace(expected, joint=joint.moved(T_new_world).kept())
     quality = replace(rig.quality, world=world, floor=floor or rig.quality.floor, expected_alignment=expected)
     return replace(rig, cameras=cameras, quality=quality)
 

@@ -68,6 +68,8 @@ class AlignmentNumbers(Record):
     mean_px: float | None = None
     median_board_mm: float | None = None
     """Of the errors in px, at the board, across the line of sight."""
+    expected_mm: float | None = None
+    """Mean that the rig's own covariance expects at the same points."""
 
 
 @dataclass(frozen=True, slots=True)

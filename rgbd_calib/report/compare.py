@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.geometry.tails import chi2_sf
 from rgbd_calib.quality import AlignmentNumbers, ExpectedAlignment
 from rgbd_calib.report import numbers
 from rgbd_calib.report.camera_pages import FINE, along, change_at, pixels_over
@@ -195,7 +195,7 @@ def _motion(a: Rig, b: Rig, name: str, frame: str, untested: bool) -> PoseDiffer
     J[3:, :3] = -so3.hat(center)  # of turn and centre, by the left perturbation
     C = J @ (one.covariance + two.covariance) @ J.T
     d = np.concatenate([turn, step])
-    chance = float(chi2.sf(d @ np.linalg.pinv(C, rcond=1e-12, hermitian=True) @ d, 6))
+    chance = chi2_sf(d @ np.linalg.pinv(C, rcond=1e-12, hermitian=True) @ d, 6)
     return PoseDifference(
         name, mm, 1e3 * along(step, C[3:, 3:]), deg, float(np.degrees(along(turn, C[:3, :3]))), chance, step
     )

@@ -29,6 +29,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import elliprg
 
+from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import camera, se3
 from rgbd_calib.geometry.depth_error import PolynomialField
 from rgbd_calib.geometry.linear import IntArray
@@ -160,6 +161,23 @@ class JointCovariance:
         C = np.zeros((len(sd),) * 2)
         C[np.ix_(free, free)] = (R @ R.T) * np.outer(sd[free], sd[free])
         return cls(C, parameters)
+
+
+def joint_of(rig: Rig) -> JointCovariance | None:
+    """What a rig file states of all cameras together, those of unregistered depth by themselves; None where it states nothing.
+
+    Raises
+    ------
+    CalibrationError
+        It is damaged.
+    """
+    expected = rig.quality.expected_alignment
+    if expected is None or expected.joint is None:
+        return None
+    try:
+        return JointCovariance.of_kept(expected.joint)
+    except ValueError as error:
+        raise CalibrationError(f"quality.expected_alignment.joint is damaged: {error}. Calibrate again") from None
 
 
 @dataclass(frozen=True)

@@ -74,6 +74,13 @@ def test_help_imports_nothing_heavy():
     assert out.stderr.strip() == "[]"
 
 
+def test_the_estimate_starts_without_what_takes_long_to_import():
+    """scipy.stats, and what imports it, takes a second for two functions."""
+    slow = ("open3d", "matplotlib", "plotly", "scipy.stats", "scipy.signal", "scipy.optimize", "scipy.interpolate")
+    script = f"import sys, rgbd_calib.api; print([m for m in {slow} if m in sys.modules])"
+    assert subprocess.check_output([sys.executable, "-c", script], text=True).strip() == "[]"
+
+
 def test_every_number_among_the_options_is_finite():
     """inf is larger than every limit, and nan is within every range."""
     from rgbd_calib.cli.main import cli

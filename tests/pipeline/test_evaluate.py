@@ -25,7 +25,10 @@ from rgbd_calib.geometry import se3
 from rgbd_calib.io.rig import write_rig
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.evaluate import against_truth, against_views, place_views
+from rgbd_calib.pipeline.world import moved_rig
+from rgbd_calib.quality import Counted, ExpectedAlignment, JointErrors
 from rgbd_calib.simulation.views import true_views
+from rgbd_calib.trust.uncertainty import JointCovariance
 from rgbd_calib.types import Rig
 
 RIG = arc(3, biased=True)
@@ -68,6 +71,24 @@ def test_a_camera_moved_by_5_mm_shows_5_mm():
     assert sum(n.points for n in summary.by_distance.values()) == summary.all.points
 
 
+def test_what_the_rig_states_is_of_the_same_points():
+    own = {name: {"pose": np.arange(6) + 6 * i} for i, name in enumerate(RIG.cameras)}
+    C = np.zeros((18, 18))
+    C[9:12, 9:12] = 1e-6 * np.eye(3)  # C2 may be 1 mm off in each direction
+    stated = ExpectedAlignment(Counted.POSES, 0.0, 0.0, 0.0, {}, None, JointCovariance(C, own).kept())
+    rig = replace(RIG, quality=replace(RIG.quality, expected_alignment=stated))
+    T = se3.retract(np.eye(4), np.array([0.3, -1.0, 2.0, 5.0, 6.0, 7.0]))
+    for seen in (rig, moved_rig(rig, T, "board", None)):
+        summary = against_truth(moved(seen, "C2", [0, 0, 0, 0, 0.005, 0]), RIG, BOARDS, BOARD).summary()
+        of_c2 = np.sqrt(8 / np.pi)  # mean length of a normal vector in space
+        for name, pair in summary.pairs.items():
+            assert pair.expected_mm == pytest.approx(of_c2 if "C2" in name else 0.0, rel=2e-3, abs=1e-9)
+        assert summary.all.expected_mm == pytest.approx(
+            sum(p.expected_mm * p.points for p in summary.pairs.values()) / summary.all.points, rel=1e-2
+        )
+    assert against_truth(RIG, RIG, BOARDS, BOARD).summary().all.expected_mm is None
+
+
 def test_a_turned_camera_shows_its_angle():
     result = against_truth(moved(RIG, "C3", [0, 0.01, 0, 0, 0, 0]), RIG, BOARDS, BOARD)
     assert result.poses["C3"].rotation_rad == pytest.approx(0.01)
@@ -88,6 +109,15 @@ def test_a_wrong_depth_bias_shows():
     # along the ray, at most 1 / cos(35 degrees) = 1.22 times the depth's error
     most = max(abs(bias.correct(z) - z) for z in np.linspace(1.2, 3.0, 50))
     assert 0.5e-3 < pair.distance_m.max() < 1.25 * most
+
+
+def test_a_damaged_joint_covariance_is_named():
+    damaged = JointErrors({name: {"pose": 6} for name in RIG.cameras}, (1.0,) * 17, "")
+    stated = ExpectedAlignment(Counted.POSES, 0.0, 0.0, 0.0, {}, None, damaged)
+    rig = replace(RIG, quality=replace(RIG.quality, expected_alignment=stated))
+    for use in (lambda: against_truth(rig, RIG, BOARDS, BOARD), lambda: moved_rig(rig, np.eye(4), "board", None)):
+        with pytest.raises(CalibrationError, match=r"quality.expected_alignment.joint is damaged: 17 .* 18 parameters"):
+            use()
 
 
 def test_truth_of_another_rig():

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_carried import carried, filmed
+from carried_board import carried, filmed
 
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.rig.motion.estimate import estimate

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
 
 from rgbd_calib.geometry.camera import Intrinsics
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.geometry.tails import chi2_isf
 from rgbd_calib.rig.biobjective import checks, results, solver, statistics
 from rgbd_calib.rig.biobjective import problem as problems
 from rgbd_calib.rig.biobjective.moments import MomentTerm
@@ -90,7 +90,7 @@ def _start_sigma(problem: RefinementProblem, i: int, params: RefinementParams) -
     else:
         d, n = term.dimension, term.grouping.n_observations
         s2 = np.nansum(term.residuals()[0] ** 2, axis=1)
-        typical = s2.mean() / d if term.loss.is_squared else np.median(s2) / chi2.median(d)
+        typical = s2.mean() / d if term.loss.is_squared else np.median(s2) / chi2_isf(0.5, d)
         variance = float(typical) * d * n / max(d * n - 3 * len(term.grouping.labels), 1)
     return max(float(np.sqrt(max(variance, 0.0))), _LEAST_SIGMAS[problem.kind(term)])
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.signal import fftconvolve
 
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import so3
@@ -123,6 +122,7 @@ def _signal(track: Track, moves: Sequence[FloatArray]) -> _Signal:
 
 def _lag(a: _Signal, b: _Signal) -> Lag:
     """The offset of b's stamps to a's clock at which the speeds agree best."""
+    from scipy.signal import fftconvolve
 
     def over(x: FloatArray, y: FloatArray) -> FloatArray:
         return np.asarray(fftconvolve(x, y[::-1]))

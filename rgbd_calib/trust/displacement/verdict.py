@@ -25,10 +25,10 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import chi2
 
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.geometry.tails import chi2_isf
 from rgbd_calib.trust.displacement.cameras import LocatedCameras
 
 
@@ -111,7 +111,7 @@ def _pair(poses: LocatedCameras, a: str, b: str, params: VerdictParams) -> PairE
     relative = C[i : i + 6, i : i + 6] + C[j : j + 6, j : j + 6] - C[i : i + 6, j : j + 6] - C[j : j + 6, i : i + 6]
     MC = M @ relative
     noise, variance = float(np.trace(MC)), 2 * float(np.trace(MC @ MC))
-    detectable = np.sqrt(variance / (2 * noise) * chi2.isf(params.false_alarm, 2 * noise**2 / variance))
+    detectable = np.sqrt(variance / (2 * noise) * chi2_isf(params.false_alarm, 2 * noise**2 / variance))
     error = float(np.sqrt(max(square - noise, 0.0)))
     broken = error > params.max_m and square > detectable**2
     return PairError((a, b), error, float(np.sqrt(noise)), float(detectable), bool(broken))

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import chi2, median_abs_deviation
 
 from rgbd_calib.geometry import se3
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.geometry.tails import chi2_sf
 from rgbd_calib.trust.self_check.findings import Finding, Level, SelfCheckParams
 from rgbd_calib.types import BoardView, IntArray, PlacedView
 from rgbd_calib.views.association import Cause
@@ -116,7 +116,7 @@ def check_steps(views: Sequence[PlacedView], frames_in_time: Sequence[str], para
         places = range(params.min_side, len(common) - params.min_side + 1)
         n = min(places, key=lambda n: float(np.log(np.abs(_about_medians(x, n)).mean(axis=0) + LEAST_SD).sum()))
         of_median = np.sqrt(np.pi / 2 * (1 / n + 1 / (len(common) - n)))
-        sd = np.maximum(median_abs_deviation(_about_medians(x, n), scale="normal") * of_median, LEAST_SD)
+        sd = np.maximum(1.4826 * np.median(np.abs(_about_medians(x, n)), axis=0) * of_median, LEAST_SD)
         size = float(np.linalg.norm((np.median(x[n:], axis=0) - np.median(x[:n], axis=0)) / sd))
         if size > params.min_step_sd:
             found.append((size, pair, common[n]))
@@ -250,7 +250,7 @@ def check_factors(factors: Mapping[str, tuple[float, float]], params: SelfCheckP
     for kind, (factor, redundancy) in factors.items():
         if not (np.isfinite(factor) and redundancy > 0):
             continue
-        p, ratio = float(chi2.sf(factor * redundancy, redundancy)), float(np.sqrt(factor))
+        p, ratio = chi2_sf(factor * redundancy, redundancy), float(np.sqrt(factor))
         if p < params.significance / len(factors) and ratio > params.max_factor:
             level: Level = "distrust" if ratio > params.max_group_ratio else "caution"
             text = f"{kind} scatter {ratio:.2f} times as much as the sigma that was given ({redundancy:.0f} degrees of freedom)"

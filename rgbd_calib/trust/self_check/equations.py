@@ -25,10 +25,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2
 
 from rgbd_calib.geometry.linear import BoolArray, Covariance, IntArray, NormalEquations
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.geometry.tails import chi2_sf
 from rgbd_calib.trust.self_check.model import SolvedModel, ViewRows
 
 ALONE = -1
@@ -311,9 +311,7 @@ def judge(
     B = U / values[kept] / scale[:, None]  # estimate = -B s
     estimate, covariance = -B @ s, B @ var @ B.T
     dof = int(kept.sum())
-    return Score(
-        statistic, plain, dof, float(chi2.sf(statistic, dof)), estimate, covariance, clear_effect(-s, var, B, effect)
-    )
+    return Score(statistic, plain, dof, chi2_sf(statistic, dof), estimate, covariance, clear_effect(-s, var, B, effect))
 
 
 def clear_effect(s: FloatArray, variance: FloatArray, B: FloatArray, effect: FloatArray) -> float:

@@ -23,10 +23,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2, f
 
 from rgbd_calib.geometry.linear import BoolArray, IntArray, NormalEquations, symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.geometry.tails import chi2_sf, f_sf
 from rgbd_calib.trust.self_check.equations import ALONE, Equations
 from rgbd_calib.trust.self_check.findings import Finding, SelfCheckParams
 
@@ -99,7 +99,7 @@ def delete(eq: Equations, gone: BoolArray) -> Deletion:
     kept = values > 1e-8 * values[-1] if len(values) else values > 0
     statistic = float(np.sum((vectors[:, kept].T @ (scale * h)) ** 2 / values[kept]))
     dof = int(kept.sum())
-    return Deletion(step, covariance, common, statistic, dof, float(chi2.sf(statistic, dof)))
+    return Deletion(step, covariance, common, statistic, dof, chi2_sf(statistic, dof))
 
 
 def _low(eq: Equations, k: int) -> FloatArray:
@@ -179,7 +179,7 @@ def hold_out(eq: Equations, params: SelfCheckParams) -> list[HeldOut]:
         dof = sum(own.dof for own in rest)
         others = max(1.0, sum(own.statistic for own in rest) / dof) if dof else 1.0
         ratio = held.statistic / max(held.dof, 1) / others
-        chance = float(f.sf(ratio, held.dof, dof)) if others > 1 else held.p
+        chance = f_sf(ratio, held.dof, dof) if others > 1 else held.p
         moves_mm = 1e3 * float(np.sqrt(max(square - others * noise, 0.0)))
         out.append(HeldOut(first, last, held.statistic, held.dof, others, chance, moves_mm))
     return out

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2, f
 
 from rgbd_calib.geometry.linear import BoolArray, IntArray, symmetric_inverse
 from rgbd_calib.geometry.so3 import FloatArray
+from rgbd_calib.geometry.tails import chi2_sf, f_sf
 from rgbd_calib.rig.blocks import Fault, Told
 from rgbd_calib.trust.self_check.equations import SEEN, Equations, Score, clear_effect, score_test
 
@@ -74,7 +74,7 @@ class Hypothesis:
         ]
         shares = np.array([1 - float(np.trace(own.covariance)) / total for own in without])
         dof = 1 / max(float(np.sum(shares**2 / eq.dof)), 1e-6)
-        return replace(score, p=float(f.sf(score.statistic / score.dof, score.dof, dof)))
+        return replace(score, p=f_sf(score.statistic / score.dof, score.dof, dof))
 
     def _known(self, eq: Equations) -> tuple[IntArray, IntArray]:
         """Globals that are free and known before, and their columns."""
@@ -109,7 +109,7 @@ def prior_test(eq: Equations, own: IntArray, columns: IntArray, where: BoolArray
     unscattered = float(y @ np.linalg.lstsq(alone, y, rcond=1e-6)[0])
     size = eq.rows.size[where][:, columns[:, None], columns].sum(axis=0) / max(int(eq.corners[where].sum()), 1)
     effect_m = clear_effect(y, np.diag(values[kept]), U / unit[:, None], size)
-    return Score(statistic, unscattered, dof, float(chi2.sf(statistic, dof)), d, variance, effect_m)
+    return Score(statistic, unscattered, dof, chi2_sf(statistic, dof), d, variance, effect_m)
 
 
 def _of(eq: Equations, own: IntArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
+from rgbd_calib.geometry.tails import chi2_sf
 from rgbd_calib.rig.blocks import Block
 from rgbd_calib.rig.blocks.board_scale import BoardScale
 from rgbd_calib.rig.problem import Problem
@@ -68,7 +68,7 @@ def _retested(eq: Equations, outcomes: list[Outcome]) -> list[Outcome]:
     best: dict[tuple[str, tuple[str, ...]], Outcome] = {}
     for o in outcomes:
         key = o.hypothesis.name, o.hypothesis.cameras
-        likely = o.score.dof and float(chi2.sf(o.score.plain, o.score.dof)) < SUSPECT_P
+        likely = o.score.dof and chi2_sf(o.score.plain, o.score.dof) < SUSPECT_P
         if likely and (key not in best or o.plain_gain > best[key].plain_gain):
             best[key] = o
     suspects = sorted(best.values(), key=lambda o: -o.plain_gain)[:MAX_SUSPECTS]
