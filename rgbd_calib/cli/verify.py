@@ -84,11 +84,15 @@ def command(
     from rgbd_calib.io.rig import read_rig
     from rgbd_calib.io.snapshot import kept_beside
     from rgbd_calib.pipeline import snapshot as snapshots
-    from rgbd_calib.pipeline.config import load_config
     from rgbd_calib.pipeline.depth_cameras import split
     from rgbd_calib.pipeline.rig_inputs import left_out
 
-    rig, opened, settings = read_rig(rig_path), split(open_recording(recording)), load_config(config)
+    settings = None
+    if config is not None:
+        from rgbd_calib.pipeline.config import load_config
+
+        settings = load_config(config)
+    rig, opened = read_rig(rig_path), split(open_recording(recording))
     if left_out(opened, rig):
         say(left_out(opened, rig))
     kept = kept_beside(rig_path)
@@ -103,7 +107,7 @@ def command(
                 show(line)
             show(snapshots.sentence(verdict))
     if snapshot is None or opened.board is not None:
-        from rgbd_calib import api  # half a second, which a snapshot does without
+        from rgbd_calib import api  # a second, which a snapshot does without
         from rgbd_calib.pipeline import verify as boards
 
         found = api.verify(
