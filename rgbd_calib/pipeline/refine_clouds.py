@@ -158,8 +158,7 @@ def _joint(rig: Rig, pose_sd_m: float | None) -> JointCovariance:
     joint = joint or JointCovariance.of_parts(rig)
     if missing := [name for name in joint.parameters if name not in rig.cameras]:
         raise CalibrationError(
-            f"quality.expected_alignment.joint is of {', '.join(missing)} too, which the rig has not as cameras of their own. "
-            "Clouds refine rigs whose depth is registered"
+            f"quality.expected_alignment.joint is of other cameras: {', '.join(missing)}. Calibrate again"
         )
     return joint if pose_sd_m is None else joint.loosened(rig.reference, pose_sd_m, DISTANCE_M)
 
