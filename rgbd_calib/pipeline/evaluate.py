@@ -55,7 +55,8 @@ class PairAlignment:
     transfer_m: FloatArray = field(default_factory=lambda: np.empty(0))
     """(n,), the same at the board, across the line of sight."""
     expected_m: FloatArray = field(default_factory=lambda: np.empty(0))
-    """(n,), of `distance_m` by the rig's own covariance; NaN where the rig's cameras do not both see the point. Empty without one."""
+    """(n,), of `distance_m` by the rig's own covariance; NaN where it states none, or the two do not both see the point. Empty
+    against a recording."""
 
 
 @dataclass(frozen=True)
@@ -133,28 +134,33 @@ def against_truth(rig: Rig, truth: Rig, boards: Mapping[str, FloatArray], board:
         if name != rig.reference
     }
     points = _volume(truth, boards, board)
-    joint, in_rig, pairs = uncertainty.joint_of(rig), se3.transform(se3.inverse(T_truth_world), points), []
-    if joint is not None and joint.parameters.keys() != rig.cameras.keys():
-        joint = None  # depth is of cameras of its own
+    in_truth = {name: uncertainty.observe(truth, name, points) for name in rig.cameras}
+    expected = _expected(rig, se3.transform(se3.inverse(T_truth_world), points))
+    pairs = []
     for a, b in combinations(rig.cameras, 2):
-        in_a, in_b = uncertainty.observe(truth, a, points), uncertainty.observe(truth, b, points)
-        seen = in_a.seen & in_b.seen
+        seen = in_truth[a].seen & in_truth[b].seen
         if seen.any():
-            places = [uncertainty.place(rig, name, o.only(seen)) for name, o in ((a, in_a), (b, in_b))]
+            places = [uncertainty.place(rig, name, in_truth[name].only(seen)) for name in (a, b)]
             distance = np.linalg.norm(places[0] - places[1], axis=1)
-            expected = _NONE if joint is None else _expected(rig, joint, (a, b), in_rig[seen])
-            pairs.append(PairAlignment((a, b), distance, (in_a.z_m + in_b.z_m)[seen] / 2, _NONE, expected_m=expected))
+            depth = (in_truth[a].z_m + in_truth[b].z_m)[seen] / 2
+            stated = expected[a, b][seen] if (a, b) in expected else np.full(len(distance), np.nan)
+            pairs.append(PairAlignment((a, b), distance, depth, _NONE, expected_m=stated))
     if not pairs:
         raise CalibrationError("no point of the working volume is seen by two cameras of the rig; nothing to compare")
     return Evaluation(tuple(pairs), poses)
 
 
-def _expected(rig: Rig, joint: uncertainty.JointCovariance, pair: tuple[str, str], points_m: FloatArray) -> FloatArray:
-    """Expected distances (n,) at points (n, 3) in the rig's world; NaN where the two do not both see the point."""
-    out = np.full(len(points_m), np.nan)
-    seen = np.all([uncertainty.observe(rig, name, points_m).seen for name in pair], axis=0)
-    if (found := uncertainty.expected_alignment(rig, joint, points_m[seen], pair)) is not None:
-        out[seen] = found.pairs[pair]
+def _expected(rig: Rig, points_m: FloatArray) -> dict[tuple[str, str], FloatArray]:
+    """Expected distances (n,) of each pair at points (n, 3) in the rig's world; NaN where the two do not both see the point."""
+    joint = uncertainty.joint_of(rig)
+    if joint is None or joint.parameters.keys() != rig.cameras.keys():  # depth is of cameras of its own
+        return {}
+    found = uncertainty.expected_alignment(rig, joint, points_m, list(rig.cameras))
+    if found is None:
+        return {}
+    out = {pair: np.full(len(points_m), np.nan) for pair in found.pairs}
+    for pair, error_m in found.pairs.items():
+        out[pair][found.seen] = error_m
     return out
 
 

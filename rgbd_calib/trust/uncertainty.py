@@ -32,7 +32,7 @@ from scipy.special import elliprg
 from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry import camera, se3
 from rgbd_calib.geometry.depth_error import PolynomialField
-from rgbd_calib.geometry.linear import IntArray
+from rgbd_calib.geometry.linear import BoolArray, IntArray
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.quality import JointErrors
 from rgbd_calib.types import Rig
@@ -184,8 +184,10 @@ def joint_of(rig: Rig) -> JointCovariance | None:
 class ExpectedErrors:
     """Expected distance between the places where two cameras put the same point."""
 
+    seen: BoolArray
+    """Which of the points that were asked for two cameras see: n of them."""
     points_m: FloatArray
-    """(n, 3), in the world: those of the volume that two cameras see."""
+    """(n, 3), in the world: these."""
     pairs: dict[tuple[str, str], FloatArray]
     """(n,), metres; NaN where the two do not both see the point."""
 
@@ -258,7 +260,7 @@ def expected_alignment(
             S = J @ joint.matrix[np.ix_(at, at)] @ J.transpose(0, 2, 1)
             beyond = sum(held[c][both, :, None] * held[c][both, None, :] for c in (a, b))
             pairs[a, b][both] = _mean_length(S + patterns[a][both] + patterns[b][both] + beyond)
-    return ExpectedErrors(points_m[often], pairs)
+    return ExpectedErrors(often, points_m[often], pairs)
 
 
 def by_parameters(rig: Rig, name: str, observed: Observed, joint: JointCovariance) -> tuple[IntArray, FloatArray]:
