@@ -66,7 +66,8 @@ def depth_in_m(
     none = ~np.isfinite(values) | (values <= 0) | (values == NO_MEASUREMENT)
     for value in invalid:
         none |= values == value
-    depth_m = np.where(none, np.nan, values * (float_unit_m if floating else scale_m))
+    depth_m = values * (float_unit_m if floating else scale_m)
+    depth_m[none] = np.nan
     if floating and not none.all():
         usual_m = float(np.median(depth_m[~none]))
         if usual_m > FARTHEST_M:

@@ -19,6 +19,7 @@ from pathlib import Path
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.io.reading import kind_of, read_bytes
 from rgbd_calib.io.temporary import remove, shortened
+from rgbd_calib.io.text import first_few
 
 MARKER = ".rgbd-calib"
 _FORMAT = "rgbd-calib/output"
@@ -44,10 +45,9 @@ def check_replaceable(folder: Path) -> None:
             f"{folder}: a folder was expected, {kind_of(folder.lstat().st_mode)} was found. Choose another name"
         )
     if _own_names(folder) is None and (seen := sorted(os.listdir(folder))):
-        shown = ", ".join(seen[:_SHOWN]) + (f" and {len(seen) - _SHOWN} more" if len(seen) > _SHOWN else "")
         raise ConfigError(
-            f"{folder}: not replaced: a folder that rgbd-calib wrote (with a file {MARKER}) was expected, one with {shown} was "
-            "found. Choose another name, or delete the folder yourself"
+            f"{folder}: not replaced: a folder that rgbd-calib wrote (with a file {MARKER}) was expected, one with "
+            f"{first_few(seen, _SHOWN)} was found. Choose another name, or delete the folder yourself"
         )
 
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import yaml
 
-MAX_BYTES = 32 << 20
-"""A rig of 8 cameras and 10,000 frames is 10 MB."""
-MAX_VALUES = 300_000
-"""Values after aliases are written out; 10,000 board poses are 170,000. 100 MB and 3 s."""
+MAX_BYTES = 64 << 20
+"""A rig of 8 cameras and 10,000 frames is 10 MB, one of 99 simulated cameras 28 MB."""
+MAX_VALUES = 2_500_000
+"""Values after aliases are written out; 99 simulated cameras are 2,000,000, 10,000 board poses 170,000. 1 GB and 25 s."""
 MAX_DEPTH = 64
 """Lists and mappings within each other; a rig file has 7."""
 MAX_DIGITS = 64

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -28,8 +29,8 @@ from rgbd_calib.trust.snapshot import (
 )
 from rgbd_calib.types import CameraSnapshot, Rig, RigCamera
 
-_AT_ONCE = 4
-"""Cameras in memory together."""
+_AT_ONCE = min(4, os.cpu_count() or 1)
+"""Cameras in memory together; more than there are processors only displace each other there."""
 
 
 @one_blas_thread

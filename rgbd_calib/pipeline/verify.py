@@ -12,6 +12,7 @@ from rgbd_calib.errors import CalibrationError
 from rgbd_calib.geometry.blas import one_blas_thread
 from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io.recording import Recording
+from rgbd_calib.io.text import first_few
 from rgbd_calib.pipeline.config import Config
 from rgbd_calib.pipeline.rig_inputs import board_for, common_cameras
 from rgbd_calib.quality import WeightRound
@@ -139,7 +140,7 @@ def sentence(verdict: DisplacementVerdict) -> str:
             "camera sees it too, five frames for each"
         )
     if verdict.blind:
-        pairs = ", ".join(" - ".join(pair) for pair in verdict.blind)
+        pairs = first_few([" - ".join(pair) for pair in verdict.blind])
         return (
             f"UNDECIDED: the noise of these frames hides an error of {limit} between {pairs}. Film more frames of the board, "
             "near to these cameras and tilted differently, or allow more with --max-mm"

@@ -30,7 +30,7 @@ from rgbd_calib.geometry.depth_error import DepthBias, GridField
 from rgbd_calib.geometry.so3 import FloatArray
 
 _NODES = (33, 25)
-"""Nodes over the image, 20 px apart at 640 x 480: a YAML file may hold 300,000 values, eight cameras with 24 depths."""
+"""Nodes over the image, 20 px apart at 640 x 480."""
 _RANGE_M = np.round(np.geomspace(0.3, 6.0, 24), 4)
 _RATED_M = np.linspace(0.8, 3.0, 45)
 """Range over which the RMS of a field is defined."""

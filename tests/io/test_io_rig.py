@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from rgbd_calib.errors import ConfigError
 from rgbd_calib.geometry import se3, so3
 from rgbd_calib.geometry.camera import Intrinsics
+from rgbd_calib.io import safe_yaml
 from rgbd_calib.io.rig import (
     read_boards,
     read_depth_bias,
@@ -22,6 +23,7 @@ from rgbd_calib.io.rig import (
     write_rig,
 )
 from rgbd_calib.quality import CameraStatistics, Quality
+from rgbd_calib.simulation.depth_field import structured_light
 from rgbd_calib.types import DepthBias, Rig, RigCamera
 
 LENS = Intrinsics(640, 480, 571.2, 569.8, 318.4, 243.2, (0.06, -0.11, 0.0008, -0.0013, 0.045))
@@ -79,6 +81,17 @@ def test_parts_of_a_rig_there_and_back(tmp_path):
         read_intrinsics(tmp_path / "d.yaml")
     with pytest.raises(ConfigError, match=r"cameras.C1.T_world_color is missing"):
         read_rig(tmp_path / "i.yaml")
+
+
+def test_rigs_of_many_simulated_cameras_can_be_read(tmp_path):
+    """16 held more values than the reader took for a rig's."""
+    field = structured_light(160, 120, 0.008, np.random.default_rng(0)).grid
+    camera = replace(a_rig().cameras["C1"], depth_field=field)
+    write_rig(tmp_path / "truth.yaml", Rig("C1", {f"C{i}": camera for i in range(1, 17)}))
+    back = read_rig(tmp_path / "truth.yaml").cameras
+    assert len(back) == 16 and np.array_equal(back["C16"].depth_field.error, field.error)
+    of_99 = 99 * (field.error.size + 200) + 99 * 8 * 17 + (99 * 6) ** 2
+    assert of_99 < safe_yaml.MAX_VALUES  # with a board pose for each of eight frames a camera, and a joint covariance
 
 
 def test_boards_of_a_truth_file(tmp_path):

@@ -122,6 +122,8 @@ def test_frames_that_cannot_tell_are_no_pass():
     verdict = check(arc(), arc(), frames=2, noise=ViewNoise(0.8, 5e-3, 5e-3)).verdict
     assert verdict.blind and not verdict.holds and not verdict.moved
     assert "UNDECIDED" in sentence(verdict) and "more frames" in sentence(verdict)
+    many = replace(verdict, blind=tuple((f"C{i}", "D1") for i in range(80)))
+    assert "between C0 - D1, C1 - D1" in sentence(many) and "C5 - D1 and 74 more. Film" in sentence(many)
 
 
 def test_says_which_camera_saw_nothing_together_with_the_others():

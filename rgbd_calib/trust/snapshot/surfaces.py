@@ -12,7 +12,7 @@ in which the surface is flat, whose error is 9 and 81 times smaller.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import cv2
@@ -52,6 +52,11 @@ class Patches:
     def only(self, which: np.ndarray) -> Patches:
         return Patches(self.points_m[which], self.normals[which], self.good[which], self.wide[which])
 
+    def and_(self, other: Patches) -> Patches:
+        """These and others."""
+        both = ((getattr(self, field.name), getattr(other, field.name)) for field in fields(self))
+        return Patches(*(np.concatenate(pair) for pair in both))
+
 
 class Surface:
     """The surfaces that a depth image (h, w), metres as measured, shows, in the colour camera's frame, corrected by the rig."""
@@ -62,17 +67,13 @@ class Surface:
         self.points_m = camera.depth_image.points(depth_m)
         """(h, w, 3)."""
         seen = np.asarray(np.isfinite(self.points_m).all(axis=-1))
-        p = np.where(seen[..., None], self.points_m, 0.0)
         # about a point in the middle of the scene: the sums of squares keep their digits
-        self._about_m = p[seen].mean(axis=0) if seen.any() else np.zeros(3)
-        p = np.where(seen[..., None], p - self._about_m, 0.0)
-        products = [p[..., i] * p[..., j] for i, j in _PAIRS]
-        layers = np.stack([seen.astype(float), *np.moveaxis(p, -1, 0), *products], axis=-1)
-        # larger windows are looked up to the pixel no more: a sixteenth of the memory
-        self._sums = tuple(
-            np.ascontiguousarray(_box_sums(layers, WINDOW_PX * scale)[:: _thin(scale), :: _thin(scale)])
-            for scale in SCALES
-        )
+        self._about_m = self.points_m[seen].mean(axis=0) if seen.any() else np.zeros(3)
+        p = [np.where(seen, self.points_m[..., k] - self._about_m[k], 0.0) for k in range(3)]
+        self._sums = _box_sums([seen.astype(float), *p, *(p[i] * p[j] for i, j in _PAIRS)])
+        # the patches that were asked for, and where each pixel's is among them
+        self._known = Patches(np.empty((0, 3)), np.empty((0, 3)), np.empty(0, bool), np.empty(0, bool))
+        self._index = np.full(self.shape, -1)
 
     @cached_property
     def k_per_m(self) -> float:
@@ -100,15 +101,25 @@ class Surface:
         return pixels[patches.good], patches.only(patches.good)
 
     def patches(self, pixels: np.ndarray) -> Patches:
-        """The planes at pixels (n, 2), int, inside the image."""
+        """The planes at pixels (n, 2), int, inside the image, each of which is fitted once."""
+        u, v = pixels.T
+        fresh = pixels[self._index[v, u] < 0]
+        self._index[fresh[:, 1], fresh[:, 0]] = len(self._known.points_m) + np.arange(len(fresh))
+        self._known = self._known.and_(self._planes_at(fresh))
+        return self._known.only(self._index[v, u])
+
+    def _planes_at(self, pixels: np.ndarray) -> Patches:
         planes, rms = self._fit(pixels)
         noise = _FLAT_SIGMAS * (self.k_per_m * planes.points_m[:, 2] ** 2 + _ROUNDING_M)
         flat = planes.good & (rms < noise)
         normals, kept = planes.normals, [flat]
         for level in range(1, len(SCALES)):
-            larger, rms = self._fit(pixels, level)
-            flat = flat & larger.good & (rms < noise)
-            normals = np.where(flat[:, None], larger.normals, normals)
+            which = np.flatnonzero(flat)
+            larger, rms = self._fit(pixels[which], level)
+            which = which[still := larger.good & (rms < noise[which])]
+            normals[which] = larger.normals[still]
+            flat = np.zeros_like(flat)
+            flat[which] = True
             kept.append(flat)
         return Patches(planes.points_m, normals, kept[0], kept[1])
 
@@ -143,14 +154,19 @@ class Surface:
 
 
 def _thin(scale: int) -> int:
-    """Pixels from one window that is kept to the next."""
+    """Pixels from one window that is kept to the next: larger windows are looked up to the pixel no more, a sixteenth of
+    the memory."""
     return 1 if scale == 1 else 4
 
 
-def _box_sums(layers: FloatArray, side_px: int) -> FloatArray:
-    """Sums (h, w, n) of layers (h, w, n) over the square window about each pixel."""
-    two = [layers[..., k : k + 2] for k in range(0, layers.shape[-1], 2)]
-    return np.concatenate([cv2.boxFilter(each, -1, (side_px, side_px), normalize=False) for each in two], axis=-1)
+def _box_sums(layers: list[FloatArray]) -> list[FloatArray]:
+    """Sums (h, w, n) of n layers (h, w) over the window of each of `SCALES` about each pixel that is kept."""
+    out: list[FloatArray] = []
+    for scale in SCALES:
+        side, thin = (WINDOW_PX * scale, WINDOW_PX * scale), _thin(scale)
+        sums = [cv2.boxFilter(layer, -1, side, normalize=False)[::thin, ::thin] for layer in layers]
+        out.append(np.stack(sums, axis=-1))
+    return out
 
 
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))

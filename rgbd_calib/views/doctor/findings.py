@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from rgbd_calib.io.text import first_few
+
 Kind = Literal[
     "damaged", "missing", "unsynchronised", "blurred", "moved", "depth late", "not the board", "not found", "no depth",
     "covered", "overexposed", "underexposed", "not joined", "coverage", "not read", "not registered",
@@ -28,8 +30,6 @@ class RecordingFinding:
     """Which camera, what was seen, what to do."""
 
 
-def listed(frames: Sequence[str], most: int = 6) -> str:
+def listed(frames: Sequence[str]) -> str:
     """Frames in words: `frame 000003`, `frames 000001, 000002 and 5 more`."""
-    shown = ", ".join(frames[:most])
-    more = f" and {len(frames) - most} more" if len(frames) > most else ""
-    return f"frame{'s' if len(frames) > 1 else ''} {shown}{more}"
+    return f"frame{'s' if len(frames) > 1 else ''} {first_few(frames)}"
