@@ -90,12 +90,12 @@ def solved(problem: Problem, state: State, frames: tuple[str, ...], views: Seque
     params, board = problem.setup.params, problem.setup.board
     dropped, dropped_corners = dict[tuple[str, str], str](), 0
     history: list[Round] = []
-    iterations, settled, taken_back = 0, False, False
+    iterations, precise, settled, taken_back = 0, False, False, False
     keys = [(placed.view.camera, placed.view.frame) for placed in views]
     n_readings = MAX_READINGS if faces.ambiguous(board) and problem.reads_faces else 0
     last_alike = n_readings + params.max_rounds
     for k in range(last_alike + params.max_rounds):
-        problem, state, moved, done = _round(problem, state, len(dropped))
+        problem, state, moved, done = _round(problem, state, len(dropped), precise)
         iterations, history = iterations + done[0], [*history, done[1]]
         if k < n_readings:
             readings = faces.best_readings(problem, state)
@@ -104,6 +104,9 @@ def solved(problem: Problem, state: State, frames: tuple[str, ...], views: Seque
                 problem, state = faces.read(problem, state, readings.moves, readings.of_frame)
                 continue
             n_readings = 0  # once nothing changes, nothing is read again
+        if not precise and k < last_alike:
+            precise = moved < SCALES_KNOWN
+            continue
         if moved < SCALES_KNOWN:
             found = outliers.find(problem, state)
             reasons = dict(found.pixel_views) | {
@@ -178,10 +181,13 @@ def freed(problem: Problem, state: State) -> tuple[Problem, State]:
     return replace(problem, obs=masked, unit_size=boards.size), replace(state, boards=boards)
 
 
-def _round(problem: Problem, state: State, n_dropped: int) -> tuple[Problem, State, float, tuple[int, Round]]:
+def _round(
+    problem: Problem, state: State, n_dropped: int, precise: bool = True
+) -> tuple[Problem, State, float, tuple[int, Round]]:
     """Solve and weigh once: what changed of the weights, and what to tell of it."""
     params = problem.setup.params
-    minimum = solve.minimize(problem, state, params.max_iterations, params.round_tolerance)
+    tolerance = params.round_tolerance if precise else params.rough_tolerance
+    minimum = solve.minimize(problem, state, params.max_iterations, tolerance)
     problem = replace(problem, wall_rays=_wall_rays(problem, minimum.state))
     with_fields = replace(problem, local=local_fields(problem, minimum.state))
     covariance = solve.covariance(with_fields, minimum.state)
