@@ -33,6 +33,8 @@ from rgbd_calib.types import Board, PlacedView
 
 SCALES_KNOWN = 0.1
 """Relative change of the sigmas below which they are known well enough to call something an outlier."""
+ROUGH_TOLERANCE = 0.1
+"""Relative change of the cost that ends a minimisation before: it is for the sigmas alone."""
 MAX_READINGS = 8
 """Rounds after which frames may be read anew; three or four do."""
 MIN_SHARE_LEFT = 0.2
@@ -186,7 +188,7 @@ def _round(
 ) -> tuple[Problem, State, float, tuple[int, Round]]:
     """Solve and weigh once: what changed of the weights, and what to tell of it."""
     params = problem.setup.params
-    tolerance = params.round_tolerance if precise else params.rough_tolerance
+    tolerance = params.round_tolerance if precise else ROUGH_TOLERANCE
     minimum = solve.minimize(problem, state, params.max_iterations, tolerance)
     problem = replace(problem, wall_rays=_wall_rays(problem, minimum.state))
     with_fields = replace(problem, local=local_fields(problem, minimum.state))

@@ -108,8 +108,6 @@ class BundleParams:
     """Relative change of the cost that ends the last minimisation."""
     round_tolerance: float = 1e-5
     """The same before, while the weights still change."""
-    rough_tolerance: float = 0.1
-    """The same while it is not known how large any error is."""
     weight_tolerance: float = 0.005
     """Relative change of any sigma that ends the rounds."""
 
