@@ -74,7 +74,7 @@ CAUSES = {
     "depth at the board's border mixed with what is behind": "depth",
     "other projectors: a third of the depth readings noisy by 20 mm": "depth",
     "one camera's depth 20 mm longer than when the walls were filmed": "C2: written distances of walls",
-    "one camera's depth 1 % longer from the middle on": "depth of .*C2's .*all between 0000(1[0-4])|C2's depth .*changed",
+    "one camera's depth 1 % longer from the middle on": "depth of .*C2's .*(all|of them) between 0000(1[0-4])|C2's depth .*changed",
     "one camera's disparity shifts by 0.15 px half-way": "C2's depth .*changed .*at frame 0000(1[0-4])",
     "one camera's depth averaged with the frame before": "C2's depth|depth of .*C2",
     "one camera's depth images are another camera's": "depth of .* C2's|C2's depth",

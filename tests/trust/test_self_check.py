@@ -336,10 +336,16 @@ def test_checks_without_equations():
     assert "only 4 of 10 common frames agree" in found.text
     assert "two_sided" in found.advice
     frames = [f"{k:03d}" for k in range(20)]
-    assert check_dropped({"C1": 20}, {"C1": frames[:6]}, frames, PARAMS) == []
-    (found,) = check_dropped({"C1": 20}, {"C1": frames[12:]}, frames, PARAMS)
+    assert check_dropped({"C1": frames}, {"C1": frames[:6]}, frames, PARAMS) == []
+    (found,) = check_dropped({"C1": frames}, {"C1": frames[12:]}, frames, PARAMS)
     assert "8 of C1's 20 views" in found.text
     assert "all between 012 and 019" in found.text
+    (found,) = check_dropped({"C1": frames[::2]}, {"C1": frames[12::2]}, frames, PARAMS)  # half of the frames seen
+    assert "4 of C1's 10 views" in found.text and "all between 012 and 018" in found.text
+    (found,) = check_dropped({"C1": frames}, {"C1": [frames[2], *frames[11:15], *frames[16:]]}, frames, PARAMS)
+    assert "9 of C1's 20 views" in found.text and "8 of them between 011 and 019" in found.text
+    (found,) = check_dropped({"C1": frames}, {"C1": frames[::2]}, frames, PARAMS)
+    assert "between" not in found.text
     assert check_noise({"C1": ResidualNoise(0.2, 2e-3)}, PARAMS, 0.5) == []
     levels = [
         f.level for f in check_noise({"C1": ResidualNoise(0.7, 7e-3), "C2": ResidualNoise(1.4, 2e-2)}, PARAMS, 0.5)

@@ -249,9 +249,9 @@ def _before(
     params: SelfCheckParams,
     carried: bool = False,
 ) -> list[Finding]:
-    found: dict[str, int] = {}
+    found: dict[str, list[str]] = {}
     for view in views:
-        found[view.camera] = found.get(view.camera, 0) + 1
+        found.setdefault(view.camera, []).append(view.frame)
 
     def by_camera(keys: Sequence[tuple[str, str]]) -> dict[str, list[str]]:
         return {

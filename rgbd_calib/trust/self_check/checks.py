@@ -18,6 +18,8 @@ from rgbd_calib.views.depth_scale import clipped_share
 
 LEAST_SD = 1e-9
 """Radians, or metres: of poses that are equal."""
+RUN_SHARE = 0.75
+"""Of the views that were left out, and of a run of frames: what left them out began and ended at some frame."""
 
 
 @dataclass(frozen=True)
@@ -139,28 +141,38 @@ def _about_medians(x: FloatArray, n: int) -> FloatArray:
 
 
 def check_dropped(
-    views: Mapping[str, int],
+    views: Mapping[str, Sequence[str]],
     dropped: Mapping[str, Sequence[str]],
     frames_in_time: Sequence[str],
     params: SelfCheckParams,
     what: str = "",
 ) -> list[Finding]:
-    """Views found of each camera, and the frames of those that were left out; `what` of them, if not all."""
+    """The frames of each camera's views, and of those that were left out; `what` of them, if not all."""
     out = []
     for name, frames in dropped.items():
-        n, lost = views.get(name, 0), sorted(set(frames))
-        if len(lost) <= max(params.max_dropped_share * n, 1):
+        seen, lost = set(views.get(name, ())), set(frames)
+        if len(lost) <= max(params.max_dropped_share * len(seen), 1):
             continue
-        places = [frames_in_time.index(f) for f in lost if f in frames_in_time]
-        together = places and len(places) > 2 and max(places) - min(places) < 1.3 * len(places)
-        when = f", all between {frames_in_time[min(places)]} and {frames_in_time[max(places)]}" if together else ""
-        text = f"{what}{len(lost)} of {name}'s {n} views do not fit the rest and were left out{when}"
+        when = _run([f for f in frames_in_time if f in seen], lost)
+        text = f"{what}{len(lost)} of {name}'s {len(seen)} views do not fit the rest and were left out{when}"
         advice = (
             "So many are no accident: the camera moved, its images are of other instants or of another camera, or another "
             "pattern is in view. Look at the frames that are named above"
         )
         out.append(Finding("views left out", "distrust", (name,), text, advice))
     return out
+
+
+def _run(in_time: Sequence[str], lost: set[str]) -> str:
+    """Between which of a camera's frames those that were left out are, where nearly all are in one run of them."""
+    gain = np.cumsum([0, *(1 if frame in lost else -1 for frame in in_time)])
+    first = np.minimum.accumulate(gain)
+    last = int(np.argmax(gain - first))  # the run in which most more are lost than kept
+    begin = int(np.flatnonzero(gain[: last + 1] == first[last])[-1])
+    run = [frame for frame in in_time[begin:last] if frame in lost]
+    if len(run) < 3 or len(run) < RUN_SHARE * max(len(lost & set(in_time)), last - begin):
+        return ""
+    return f", {'all' if lost <= set(run) else f'{len(run)} of them'} between {run[0]} and {run[-1]}"
 
 
 def check_copies(views: Sequence[BoardView], sigma_px: float, params: SelfCheckParams) -> list[Finding]:
