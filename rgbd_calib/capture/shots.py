@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from rgbd_calib.io.growing_recording import CameraImages
-from rgbd_calib.sensors.depth_average import mean_depth, median_depth
+from rgbd_calib.sensors.depth_average import mean_depth
 from rgbd_calib.sensors.frames import PERIOD_S, FrameSet, SensorFrame
 from rgbd_calib.sensors.rig import SensorRig
 
@@ -25,11 +25,9 @@ class DepthParams:
     """How depth is taken."""
 
     frames: int = 1
-    """The median of so many; 1 stores what the device sent."""
+    """The mean of so many; 1 stores what the device sent."""
     alternate_emitters: bool = False
     """Only one infrared projector shines at a time while its camera's depth is taken."""
-    mean: bool = False
-    """Their mean instead, for snapshots: a median of quantised depth stays quantised."""
 
 
 class Photographer:
@@ -65,8 +63,7 @@ class Photographer:
                 continue
             if taken[0] is not frame.depth:
                 times_s[camera] = self._rig.reader(camera).depth_host_s(taken[len(taken) // 2])
-            average = mean_depth if self._params.mean else median_depth
-            depth_raw = average([f.pixels for f in taken])
+            depth_raw = mean_depth([f.pixels for f in taken])
             color_us, depth_us = self._us(frame.color_s), self._us(times_s[camera])
             infrared = frame.depth.infrared
             out[camera] = CameraImages(_bgr(frame.color.pixels), depth_raw, color_us, depth_us, infrared=infrared)

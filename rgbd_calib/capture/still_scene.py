@@ -42,7 +42,7 @@ def take_snapshots(
         with SensorRig(
             runtime, cameras, lambda *_: None, settle_s=settle_s, keep_depth=frames + 4, allow_unregistered=True
         ) as rig:
-            photographer = Photographer(rig, DepthParams(frames, mean=True), time.monotonic())
+            photographer = Photographer(rig, DepthParams(frames), time.monotonic())
             frame_set = photographer.frame_set()
             if frame_set is None:
                 raise CalibrationError(

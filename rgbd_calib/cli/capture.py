@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from rgbd_calib.capture.session import CaptureResult
 
 SNAPSHOT_FRAMES = 30
+STILL_FRAMES = 10
+"""A third of a second; what is left of the depth noise is less than what else depth errs by."""
 
 
 @click.command()
@@ -51,7 +53,10 @@ SNAPSHOT_FRAMES = 30
     "--pairs-only", is_flag=True, help="Ask for common views of cameras only, not for coverage of each image."
 )
 @click.option(
-    "--depth-frames", type=click.IntRange(1, 100), default=None, help="Depth is the median of so many.  [default: 1]"
+    "--depth-frames",
+    type=click.IntRange(1, 100),
+    default=None,
+    help="Depth is the mean of so many.  [default: 10 where the board is held still or a wall is filmed, 30 with --snapshot, else 1]",
 )
 @click.option("--alternate-emitters", is_flag=True, help="One infrared projector at a time, against interference.")
 @click.option("--auto-exposure", is_flag=True, help="Leave exposure and white balance automatic.")
@@ -174,6 +179,8 @@ def command(
     from rgbd_calib.views.coverage import CoverageParams
 
     wait_for_stillness = on_still or ((intrinsic or until_mm is not None) and interval is None)
+    still = (wait_for_stillness or depth_bias) and not color_only
+    usual_frames = SNAPSHOT_FRAMES if snapshot else STILL_FRAMES if still else 1
     mode = ModeParams(
         interval_s=0.5 if interval is None else interval,
         count=1 if snapshot and count is None else count,
@@ -184,7 +191,7 @@ def command(
         out,
         "intrinsic" if intrinsic else "depth-bias" if depth_bias else "wave" if wave is not None else "rig",
         mode,
-        DepthParams(depth_frames or (SNAPSHOT_FRAMES if snapshot else 1), alternate_emitters, snapshot),
+        DepthParams(depth_frames or usual_frames, alternate_emitters),
         CoverageParams(judge_cameras=not pairs_only, judge_alone=until_mm is not None),
         named_board,  # type: ignore[arg-type]
         parse_devices(devices),

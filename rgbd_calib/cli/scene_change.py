@@ -56,9 +56,9 @@ def scene_change_options(command: Callable[..., Any]) -> Callable[..., Any]:
     @click.option(
         "--depth-frames",
         type=click.IntRange(1, 1000),
-        default=30,
-        show_default=True,
-        help="With --snapshot: depth images of each camera.",
+        default=None,
+        help="Readings that each depth image is the mean of [default: 1]; with --snapshot depth images of each camera "
+        "[default: 30].",
     )
     @wraps(command)
     def with_change(
@@ -70,7 +70,7 @@ def scene_change_options(command: Callable[..., Any]) -> Callable[..., Any]:
         light: float,
         warm_up: str,
         surroundings: str,
-        depth_frames: int,
+        depth_frames: int | None,
         cameras: int,
         **options: Any,
     ) -> Any:
@@ -88,9 +88,12 @@ def scene_change_options(command: Callable[..., Any]) -> Callable[..., Any]:
             change = SceneChange(
                 twists, objects, people, light, percent / 100, offset_mm / 1e3, surroundings  # type: ignore[arg-type]
             )  # fmt: skip
-            return change, depth_frames
+            return change, depth_frames or 30
 
-        return command(*args, cameras=cameras, scene_change=scene_change, **options)
+        readings = 1 if snapshot or depth_frames is None else depth_frames
+        if readings > 1 and options["wave"] is not None:
+            raise click.UsageError("--wave: the board moves, so that --depth-frames does not apply. Leave it out")
+        return command(*args, cameras=cameras, scene_change=scene_change, depth_readings=readings, **options)
 
     return with_change
 

@@ -233,6 +233,7 @@ def command(
     no_bias: bool,
     no_noise: bool,
     scene_change: Callable[[], tuple[SceneChange, int] | None],
+    depth_readings: int,
     seed: int,
     overwrite: bool,
     jobs: int | None,
@@ -300,6 +301,7 @@ def command(
     }
     plain = Board(cols, rows, square, two_sided, thickness if two_sided else 0.0)
     off = [part for part, exact in switches.items() if exact]
+    walk = WaveParams(wave or 0.0, rate, clock_offset, jitter_s=jitter, readout_s=readout, lost=lost)
     params = SimulationParams(
         cameras=cameras,
         layout=layout,  # type: ignore[arg-type]
@@ -318,13 +320,10 @@ def command(
         lenses=lenses,  # type: ignore[arg-type]
         depth_size=_size(depth_size or _OWN_SIZES.get(sensor, "640x480")) if unregistered else None,
         infrared=infrared,
+        depth_readings=depth_readings,
         bias=not (no_bias or no_noise),
         jpeg_quality=jpeg,
-        wave=None
-        if wave is None
-        else WaveParams(
-            seconds=wave, rate_hz=rate, offset_s=clock_offset, jitter_s=jitter, readout_s=readout, lost=lost
-        ),
+        wave=None if wave is None else walk,
         realism=IDEAL if ideal or no_noise else Realism(print_scale=print_scale).without(*off),
     )
     begin = time.monotonic()

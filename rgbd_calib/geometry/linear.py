@@ -316,6 +316,8 @@ class NormalEquations:
             The equations are singular.
         """
         S = self.reduced[np.ix_(free, free)]
+        if not np.all(np.diag(S) > 0):  # rounding alone is left of some
+            raise np.linalg.LinAlgError("not positive definite")
         scale = 1 / np.sqrt(np.diag(S))
         L = np.linalg.cholesky(S * np.outer(scale, scale))
         L_inv = solve_triangular(L, np.diag(scale), lower=True)

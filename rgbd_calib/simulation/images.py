@@ -19,6 +19,7 @@ from rgbd_calib.geometry.so3 import FloatArray
 from rgbd_calib.io import recording as files
 from rgbd_calib.io.files import whole_file
 from rgbd_calib.io.images import write_image
+from rgbd_calib.sensors.depth_average import mean_depth
 from rgbd_calib.simulation import board as boards
 from rgbd_calib.simulation import poses
 from rgbd_calib.simulation.bent import bent_faces
@@ -159,30 +160,35 @@ def make_images(job: Job) -> tuple[tuple[str, str, str], list[tuple[Any, ...]]]:
 
 def _make_depth(folder: Path, job: Job, sight: _Sight, rng: np.random.Generator) -> None:
     """Measure and save the depth image and, if wanted, the infrared image."""
-    params, truth = _setting.params, _setting.rig
-    sensor, bias, field = params.depth_noise, truth.depth_bias[job.camera], truth.depth_field.get(job.camera)
-    if isinstance(sensor, DepthNoise):
-        depth = measure(sight.z_m, sight.cos_incidence, sensor, bias, rng, field)
-    else:
-        assert sight.reflectance is not None
-        depth = measure_time_of_flight(
-            sight.z_m,
-            sight.cos_incidence,
-            sight.reflectance,
-            _length(job.camera),
-            sensor,
-            bias,
-            rng,
-            field,
-            truth.drift_m(job.camera, job.warm),
-            params.realism.stray_light,
-        )
+    params = _setting.params
+    depth = mean_depth([_reading(job, sight, rng) for _ in range(params.depth_readings)])
     files.save_depth(folder, job.camera, job.frame, depth)
     if params.infrared:
         assert sight.reflectance is not None
         brightness = amplitude(sight.z_m, sight.cos_incidence, sight.reflectance, _length(job.camera))
-        image = infrared_image(brightness, np.uint8 if isinstance(sensor, DepthNoise) else np.uint16, rng)
+        image = infrared_image(brightness, np.uint8 if isinstance(params.depth_noise, DepthNoise) else np.uint16, rng)
         write_image(folder / job.camera / "ir" / f"{job.frame}.png", image)
+
+
+def _reading(job: Job, sight: _Sight, rng: np.random.Generator) -> np.ndarray:
+    """One depth image (h, w), uint16, as the sensor sends it."""
+    truth, sensor = _setting.rig, _setting.params.depth_noise
+    bias, field = truth.depth_bias[job.camera], truth.depth_field.get(job.camera)
+    if isinstance(sensor, DepthNoise):
+        return measure(sight.z_m, sight.cos_incidence, sensor, bias, rng, field)
+    assert sight.reflectance is not None
+    return measure_time_of_flight(
+        sight.z_m,
+        sight.cos_incidence,
+        sight.reflectance,
+        _length(job.camera),
+        sensor,
+        bias,
+        rng,
+        field,
+        truth.drift_m(job.camera, job.warm),
+        _setting.params.realism.stray_light,
+    )
 
 
 @lru_cache(maxsize=64)

@@ -35,6 +35,8 @@ class SimulationParams:
     color_noise: ColorNoise = field(default=ColorNoise())
     sensor: Sensor = "structured-light"
     depth_noise: DepthNoise | TimeOfFlight = field(default=DepthNoise())
+    depth_readings: int = 1
+    """Readings of the sensor that each depth image is the mean of, as `capture` takes them of a board held still."""
     bias: bool = True
     """False: no depth bias."""
     jpeg_quality: int | None = None

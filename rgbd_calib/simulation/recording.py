@@ -189,6 +189,8 @@ def provenance(params: SimulationParams) -> dict[str, Any]:
     else:
         simulated["depth_sigma"] = {"model": "k z^2", "k_per_m": 0.0 if noise.ideal else noise.k_per_m}
         simulated["disparity_step_px"] = noise.disparity_step_px
+    if params.depth_readings != 1:
+        simulated["depth_readings"] = params.depth_readings
     if params.jpeg_quality is not None:
         simulated["jpeg_quality"] = params.jpeg_quality
     if params.color_noise.fringe_px:

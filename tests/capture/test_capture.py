@@ -186,11 +186,11 @@ def test_a_camera_without_depth_beside_one_that_has_it(rig, played):
     assert all(recording.color("C2", frame).tobytes() in sent for frame in recording.frames)
 
 
-def test_depth_is_a_median_and_emitters_take_turns(rig):
-    """Every other projector makes 1 hole in 32 pixels, at random: the median of 5 leaves none, one alone has none."""
+def test_depth_is_a_mean_and_emitters_take_turns(rig):
+    """Every other projector makes 1 hole in 32 pixels, at random: the mean of 5 leaves none, one alone has none."""
     rig.settings(interference=1, scene=0)
-    median, turns = rig.folder / "median", rig.folder / "turns"
-    assert rig.run("capture", median, "--count", 1, "--depth-frames", 5, *QUICK).status == 0
+    mean, turns = rig.folder / "mean", rig.folder / "turns"
+    assert rig.run("capture", mean, "--count", 1, "--depth-frames", 5, *QUICK).status == 0
     ended = rig.run("capture", turns, "--count", 1, "--alternate-emitters", *QUICK)
     assert ended.status == 0, ended.stderr
 
@@ -198,7 +198,7 @@ def test_depth_is_a_median_and_emitters_take_turns(rig):
         return float((read_raw(folder / "C1/depth/000000.png") == 0).mean())
 
     # P(at least 3 of 5 empty) = 10 / 32^3 = 3e-4, and 1/32 = 3e-2 of a single picture
-    assert 1e-4 < holes(median) < 1e-3
+    assert 1e-4 < holes(mean) < 1e-3
     assert holes(turns) == 0
 
 

@@ -230,6 +230,24 @@ def test_board_that_no_camera_sees_whole_is_an_error_and_leaves_nothing(run, tmp
     assert list(tmp_path.iterdir()) == []
 
 
+def test_depth_may_be_the_mean_of_several_readings(run, tmp_path):
+    def wall_rms_m(name: str, *options: object) -> float:
+        outcome = run(
+            "simulate", tmp_path / name, "--cameras", 2, "--frames", 1, "--intrinsic-views", 0, "--distances", "2.5",
+            "--width", 160, "--height", 120, "--ideal", "--no-bias", "--jobs", 1, *options,
+        )  # fmt: skip
+        assert outcome.status == 0, outcome.stderr
+        recording = open_recording(tmp_path / name / "depth_bias")
+        (frame,) = recording.color_files["C1"]
+        return float(np.nanstd(recording.depth_m("C1", frame) - recording.distances_m("C1")[frame][0]))
+
+    once, mean = wall_rms_m("once"), wall_rms_m("mean", "--depth-frames", 9)
+    assert once == pytest.approx(1.6e-3 * 2.5**2, rel=0.1)
+    assert mean == pytest.approx(once / 3, rel=0.15)
+    refused = run("simulate", tmp_path / "new", "--wave", 5, "--depth-frames", 2)
+    assert refused.status == 2 and "the board moves" in refused.stderr
+
+
 def test_command_without_noise(run, tmp_path):
     outcome = run(
         "simulate", tmp_path / "new", "--cameras", 2, "--frames", 1, "--intrinsic-views", 0, "--distances", "1.5",
