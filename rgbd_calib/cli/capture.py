@@ -56,7 +56,8 @@ STILL_FRAMES = 10
     "--depth-frames",
     type=click.IntRange(1, 100),
     default=None,
-    help="Depth is the mean of so many.  [default: 10 where the board is held still or a wall is filmed, 30 with --snapshot, else 1]",
+    help="Depth is the mean of so many.  [default: 10 where the board is held still or a wall is filmed, 30 with "
+    "--snapshot, else 1]",
 )
 @click.option("--alternate-emitters", is_flag=True, help="One infrared projector at a time, against interference.")
 @click.option("--auto-exposure", is_flag=True, help="Leave exposure and white balance automatic.")

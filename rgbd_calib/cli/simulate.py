@@ -301,7 +301,7 @@ def command(
     }
     plain = Board(cols, rows, square, two_sided, thickness if two_sided else 0.0)
     off = [part for part, exact in switches.items() if exact]
-    walk = WaveParams(wave or 0.0, rate, clock_offset, jitter_s=jitter, readout_s=readout, lost=lost)
+    path = None if wave is None else WaveParams(wave, rate, clock_offset, jitter_s=jitter, readout_s=readout, lost=lost)
     params = SimulationParams(
         cameras=cameras,
         layout=layout,  # type: ignore[arg-type]
@@ -323,7 +323,7 @@ def command(
         depth_readings=depth_readings,
         bias=not (no_bias or no_noise),
         jpeg_quality=jpeg,
-        wave=None if wave is None else walk,
+        wave=path,
         realism=IDEAL if ideal or no_noise else Realism(print_scale=print_scale).without(*off),
     )
     begin = time.monotonic()

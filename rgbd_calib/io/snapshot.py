@@ -129,7 +129,5 @@ def _mean_of_near(stack_m: np.ndarray) -> FloatArray:
     off = np.abs(ordered[wide] - median[wide])
     spread = _MAD * np.take_along_axis(np.sort(off, axis=1), last[wide] // 2, axis=1)
     near[wide] = off <= np.maximum(_NEAR_SIGMAS * spread, limit[wide])
-    used = count.copy()
-    used[wide] = np.count_nonzero(near[wide], axis=1)[:, None]
-    mean = np.where(near, ordered, 0).sum(axis=1, dtype=float, keepdims=True) / np.maximum(used, 1)
-    return np.where(2 * count >= n, mean, np.nan).reshape(shape)
+    mean = np.where(near, ordered, 0).sum(axis=1, dtype=float) / np.maximum(np.count_nonzero(near, axis=1), 1)
+    return np.where(2 * count[:, 0] >= n, mean, np.nan).reshape(shape)

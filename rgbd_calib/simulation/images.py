@@ -25,18 +25,19 @@ from rgbd_calib.simulation import poses
 from rgbd_calib.simulation.bent import bent_faces
 from rgbd_calib.simulation.carried import depth_picture, render_carried
 from rgbd_calib.simulation.color_sensor import Optics, develop
-from rgbd_calib.simulation.depth_sensor import DepthNoise, measure
+from rgbd_calib.simulation.depth_sensor import DepthNoise
 from rgbd_calib.simulation.infrared import infrared_image, reflectance, room_reflectance, with_board_reflectance
 from rgbd_calib.simulation.lighting import instant_light
 from rgbd_calib.simulation.params import IMAGE, LIGHT, ROOM, SimulationParams, generator
 from rgbd_calib.simulation.plan import Job
 from rgbd_calib.simulation.printed import Printed
+from rgbd_calib.simulation.reading import reading
 from rgbd_calib.simulation.render import IdealImage, render_room, render_with_board
 from rgbd_calib.simulation.rig import TrueRig
 from rgbd_calib.simulation.room import furnished_room
 from rgbd_calib.simulation.scene import Caster
 from rgbd_calib.simulation.surfaces import see_board, see_room, with_board
-from rgbd_calib.simulation.time_of_flight import amplitude, measure_time_of_flight
+from rgbd_calib.simulation.time_of_flight import amplitude
 from rgbd_calib.simulation.view import View
 from rgbd_calib.simulation.wall import WALL_COLOR, render_wall
 
@@ -160,35 +161,16 @@ def make_images(job: Job) -> tuple[tuple[str, str, str], list[tuple[Any, ...]]]:
 
 def _make_depth(folder: Path, job: Job, sight: _Sight, rng: np.random.Generator) -> None:
     """Measure and save the depth image and, if wanted, the infrared image."""
-    params = _setting.params
-    depth = mean_depth([_reading(job, sight, rng) for _ in range(params.depth_readings)])
-    files.save_depth(folder, job.camera, job.frame, depth)
+    params, truth = _setting.params, _setting.rig
+    seen = sight.z_m, sight.cos_incidence, sight.reflectance, _length(job.camera)
+    drift_m = truth.drift_m(job.camera, job.warm)
+    readings = [reading(params, truth, job.camera, *seen, rng, drift_m) for _ in range(params.depth_readings)]
+    files.save_depth(folder, job.camera, job.frame, mean_depth(readings))
     if params.infrared:
         assert sight.reflectance is not None
         brightness = amplitude(sight.z_m, sight.cos_incidence, sight.reflectance, _length(job.camera))
         image = infrared_image(brightness, np.uint8 if isinstance(params.depth_noise, DepthNoise) else np.uint16, rng)
         write_image(folder / job.camera / "ir" / f"{job.frame}.png", image)
-
-
-def _reading(job: Job, sight: _Sight, rng: np.random.Generator) -> np.ndarray:
-    """One depth image (h, w), uint16, as the sensor sends it."""
-    truth, sensor = _setting.rig, _setting.params.depth_noise
-    bias, field = truth.depth_bias[job.camera], truth.depth_field.get(job.camera)
-    if isinstance(sensor, DepthNoise):
-        return measure(sight.z_m, sight.cos_incidence, sensor, bias, rng, field)
-    assert sight.reflectance is not None
-    return measure_time_of_flight(
-        sight.z_m,
-        sight.cos_incidence,
-        sight.reflectance,
-        _length(job.camera),
-        sensor,
-        bias,
-        rng,
-        field,
-        truth.drift_m(job.camera, job.warm),
-        _setting.params.realism.stray_light,
-    )
 
 
 @lru_cache(maxsize=64)

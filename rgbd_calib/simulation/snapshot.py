@@ -20,16 +20,16 @@ from rgbd_calib.io.rig import write_rig
 from rgbd_calib.quality import Quality, TrueChange
 from rgbd_calib.simulation.changes import SceneChange, scenes
 from rgbd_calib.simulation.color_sensor import Optics, develop
-from rgbd_calib.simulation.depth_sensor import DepthNoise, measure
+from rgbd_calib.simulation.depth_sensor import DepthNoise
 from rgbd_calib.simulation.infrared import room_reflectance
 from rgbd_calib.simulation.lighting import instant_light
 from rgbd_calib.simulation.params import SNAPSHOT, SimulationParams, generator
+from rgbd_calib.simulation.reading import reading
 from rgbd_calib.simulation.recording import Progress, camera_infos, provenance, true_rig_of, workers
 from rgbd_calib.simulation.render import IdealImage, render_room
 from rgbd_calib.simulation.rig import TrueRig
 from rgbd_calib.simulation.scene import Caster, Scene
 from rgbd_calib.simulation.surfaces import see_room
-from rgbd_calib.simulation.time_of_flight import measure_time_of_flight
 from rgbd_calib.simulation.view import View
 from rgbd_calib.types import Rig
 
@@ -103,27 +103,8 @@ def take(
         lit *= instant_light(realism.light_change, 0.0, rng).level
     color = develop(sight.picture, params.color_noise, rng, optics, lit)
     warm_m = sight.z_m * (1 + change.depth_scale) + change.depth_offset_m
-    sensor, bias, field = params.depth_noise, truth.depth_bias[camera], truth.depth_field.get(camera)
-    depths = []
-    for _ in range(frames):
-        if isinstance(sensor, DepthNoise):
-            depths.append(measure(warm_m, sight.cos_incidence, sensor, bias, rng, field))
-            continue
-        assert sight.reflectance is not None
-        depths.append(
-            measure_time_of_flight(
-                warm_m,
-                sight.cos_incidence,
-                sight.reflectance,
-                sight.rays,
-                sensor,
-                bias,
-                rng,
-                field,
-                0.0,
-                realism.stray_light,
-            )
-        )
+    seen = warm_m, sight.cos_incidence, sight.reflectance, sight.rays
+    depths = [reading(params, truth, camera, *seen, rng) for _ in range(frames)]
     return Taken(color, np.stack(depths))
 
 

@@ -101,11 +101,12 @@ class Surface:
         return pixels[patches.good], patches.only(patches.good)
 
     def patches(self, pixels: np.ndarray) -> Patches:
-        """The planes at pixels (n, 2), int, inside the image, each of which is fitted once."""
+        """The planes at pixels (n, 2), int, inside the image; what an earlier call has fitted is not fitted again."""
         u, v = pixels.T
         fresh = pixels[self._index[v, u] < 0]
-        self._index[fresh[:, 1], fresh[:, 0]] = len(self._known.points_m) + np.arange(len(fresh))
-        self._known = self._known.and_(self._planes_at(fresh))
+        if len(fresh):
+            self._index[fresh[:, 1], fresh[:, 0]] = len(self._known.points_m) + np.arange(len(fresh))
+            self._known = self._known.and_(self._planes_at(fresh))
         return self._known.only(self._index[v, u])
 
     def _planes_at(self, pixels: np.ndarray) -> Patches:
